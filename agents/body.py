@@ -1,0 +1,158 @@
+"""The Body: all that a robot algorithm can do, and the hand that drives it.
+
+An algorithm is a coroutine over its Body, driven by `coroutine.send`, never by an event loop. One
+await is one request: one message on the wire, one line of the trace, one possible moment of death.
+"""
+
+from collections.abc import Callable, Coroutine, Generator
+from random import Random
+from types import coroutine
+from typing import get_args
+
+from protocol.errors import AlgorithmError
+from protocol.messages import (
+    AnyRequest,
+    Briefing,
+    Exchange,
+    Look,
+    Move,
+    Sight,
+    Stop,
+    Wait,
+    WaitForNews,
+    Write,
+)
+from protocol.seeds import spawn
+
+
+Ask = Generator[AnyRequest, Sight, Sight]
+"""What every method of a Body returns: to be awaited, and answered with what the robot sees next."""
+
+
+class Body:
+    """What one robot can do, and what it knows from the beginning.
+
+    Attributes:
+        robot: its own id.
+        team_size: number of robots that set out (the papers' k).
+        briefing: everything it was told beforehand.
+        rng: its own random stream; the only randomness an algorithm may use.
+    """
+
+    __slots__ = ("briefing", "rng", "robot", "team_size")
+
+    def __init__(self, briefing: Briefing) -> None:
+        self.briefing = briefing
+        self.robot = briefing.robot
+        self.team_size = briefing.team_size
+        self.rng: Random = spawn(briefing.seed, "robot", briefing.robot)
+
+    @coroutine
+    def look(self) -> Ask:
+        """See this place (free)."""
+        return (yield Look())
+
+    @coroutine
+    def write(self, tag: bytes, messages: tuple[bytes, ...] = ()) -> Ask:
+        """Write the tag of this place and see it in the next round (free)."""
+        return (yield Write(tag, messages))
+
+    @coroutine
+    def exchange(self, *messages: bytes) -> Ask:
+        """Send messages and see what has come by the next round (free)."""
+        return (yield Exchange(None, messages))
+
+    @coroutine
+    def move(
+        self, exit_: int, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
+    ) -> Ask:
+        """Write the tag if one is given, leave by port ``exit_`` and arrive (one move)."""
+        return (yield Move(tag, messages, exit_))
+
+    @coroutine
+    def wait(self, duration: float = 1.0, *, tag: bytes | None = None) -> Ask:
+        """Stay for ``duration`` time units (that many ticks in lockstep)."""
+        return (yield Wait(tag, (), duration))
+
+    @coroutine
+    def wait_for_news(
+        self,
+        *,
+        at_most: float | None = None,
+        tag: bytes | None = None,
+        messages: tuple[bytes, ...] = (),
+    ) -> Ask:
+        """Stay until a message, a loss notice or a change of the tag here (as long as it takes).
+
+        ``at_most`` bounds the wait (time units; whole ticks in lockstep).
+        """
+        return (yield WaitForNews(tag, messages, at_most))
+
+    def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
+        """Return what the algorithm returns to stop with a last tag or message (free).
+
+        An algorithm that returns ``None`` stops without.
+        """
+        return Stop(tag, messages)
+
+
+REQUEST_TYPES = frozenset(get_args(AnyRequest))
+Algorithm = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
+
+
+class Driver:
+    """Drives one algorithm by hand: a sight in, the next request out.
+
+    Attributes:
+        send: the bare hand, for those who cannot afford `next_request` and do its checks themselves.
+    """
+
+    __slots__ = ("_coroutine", "_name", "send")
+
+    def __init__(self, algorithm: Algorithm, body: Body) -> None:
+        self._name = getattr(algorithm, "__qualname__", str(algorithm))
+        coroutine = algorithm(body)
+        if not isinstance(coroutine, Coroutine):
+            raise AlgorithmError(f"{self._name} is no coroutine function; expected `async def`")
+        self._coroutine = coroutine
+        self.send: Callable[[Sight | None], AnyRequest] = coroutine.send  # type: ignore[assignment]
+
+    def next_request(self, sight: Sight | None) -> AnyRequest:
+        """Give the algorithm what it sees (``None``: the beginning) and return what it asks next.
+
+        Raises:
+            AlgorithmError: If the algorithm awaits something that is not of its Body.
+            Exception: Whatever the algorithm itself raises.
+        """
+        try:
+            request = self.send(sight)
+        except StopIteration as stop:
+            return self.last_request(stop)
+        if request.__class__ not in REQUEST_TYPES:
+            raise self.foreign_await(request)
+        return request
+
+    def last_request(self, stop: StopIteration) -> Stop:
+        """Return the stop of an algorithm that has returned.
+
+        Raises:
+            AlgorithmError: If it returned something else than its last words.
+        """
+        last = Stop() if stop.value is None else stop.value
+        if type(last) is not Stop:
+            expected = "expected None or body.last_words(...)"
+            raise AlgorithmError(f"{self._name} returned {last!r}; {expected}")
+        return last
+
+    def foreign_await(self, request: object) -> AlgorithmError:
+        """Return the error of an algorithm that awaits ``request``, which is no request."""
+        frame = self._coroutine.cr_frame  # type: ignore[attr-defined]
+        line = f" near line {frame.f_lineno}" if frame is not None else ""
+        return AlgorithmError(
+            f"{self._name}{line} awaits something that is not of its Body ({request!r}); "
+            "an algorithm awaits only body.look(), body.move(...) and their like"
+        )
+
+    def close(self) -> None:
+        """End the algorithm where it stands; it never resumes."""
+        self._coroutine.close()

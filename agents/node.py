@@ -1,0 +1,89 @@
+"""A robot's process: one algorithm, one line to the world.
+
+    python -m agents.node --run RUN --port PORT --robot 3 [--host HOST]
+
+Exit codes: 0 the robot stopped; 1 its algorithm failed or the world refused a request; 2 it could not
+join; 3 the world had declared it lost.
+"""
+
+import argparse
+import asyncio
+import os
+import sys
+import traceback
+
+from agents.body import Body, Driver
+from agents.registry import algorithm_of
+from protocol.errors import CanopyError, FencedError, JoinError, OutcomeUnknownError
+from protocol.lifeline import tie_to_supervisor
+from protocol.messages import Refusal, Sight, Stopped
+from protocol.zenoh_link import Link, LinkConfig, RobotLine, credentials_of, run_beside_loop
+
+STOPPED, FAILED, NOT_JOINED, FENCED = range(4)
+
+
+def live(line: RobotLine) -> int:
+    """Play one robot from its first look to its stop.
+
+    Returns:
+        The exit code of the process.
+    """
+    briefing = line.briefing
+    try:
+        driver = Driver(algorithm_of(briefing.algorithm, briefing.options), Body(briefing))
+        sight: Sight | None = None
+        while True:
+            reply = line.request(driver.next_request(sight))
+            if isinstance(reply, Stopped):
+                return STOPPED
+            if isinstance(reply, Refusal):
+                driver.close()
+                print(f"robot {briefing.robot}: {reply.error}: {reply.detail}", file=sys.stderr)
+                return FAILED
+            sight = reply
+    except FencedError as error:
+        print(f"robot {briefing.robot}: fenced: {error}", file=sys.stderr)
+        return FENCED
+    except Exception:  # noqa: BLE001  whatever a user's algorithm raises
+        print(f"robot {briefing.robot} failed:\n{traceback.format_exc()}", file=sys.stderr)
+        return FAILED
+
+
+async def _main(arguments: argparse.Namespace) -> int:
+    config = LinkConfig(
+        arguments.run,
+        arguments.port,
+        credentials=credentials_of(f"robot-{arguments.robot}"),
+        patience_s=arguments.patience,
+        host=arguments.host,
+    )
+    with Link(config) as link:
+        try:
+            line = await asyncio.to_thread(RobotLine, link, arguments.robot)
+        except (JoinError, OutcomeUnknownError) as error:
+            print(f"robot {arguments.robot}: cannot join: {error}", file=sys.stderr)
+            return NOT_JOINED
+        return await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
+
+
+def main() -> None:
+    """Run a robot's process."""
+    tie_to_supervisor()
+    parser = argparse.ArgumentParser(prog="agents.node", description=__doc__)
+    parser.add_argument("--run", required=True, help="name of the run")
+    parser.add_argument("--host", default="127.0.0.1", help="where the router is")
+    parser.add_argument("--port", type=int, required=True, help="port of the router")
+    parser.add_argument("--robot", type=int, required=True, help="the identity to join under")
+    parser.add_argument("--patience", type=float, default=5.0, help="seconds of silence allowed")
+    arguments = parser.parse_args()
+    code = NOT_JOINED
+    try:
+        code = asyncio.run(_main(arguments))
+    except CanopyError as error:
+        print(f"robot {arguments.robot}: {error}", file=sys.stderr)
+    sys.stderr.flush()
+    os._exit(code)  # the step thread may still block in Zenoh
+
+
+if __name__ == "__main__":
+    main()

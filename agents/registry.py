@@ -1,0 +1,94 @@
+"""The algorithms that a scenario can name, and those of users.
+
+A scenario says ``algorithm = "mr-dfs"`` or ``algorithm = "package.module:function"``. A function of a
+user takes a `Body`, or a Body and its options: the Struct that annotates its second parameter, which
+the scenario's ``[algorithm_options]`` fill.
+"""
+
+import inspect
+from collections.abc import Coroutine
+from importlib import import_module
+from typing import Any, get_type_hints
+
+import msgspec
+from msgspec import Struct
+
+from agents.algorithms import mr_dfs
+from agents.body import Algorithm, Body
+from protocol.errors import ScenarioError
+from protocol.messages import AnyRequest, Sight, Stop
+from protocol.scenario import OptionValue
+
+ALGORITHMS = {"mr-dfs": mr_dfs.mr_dfs}
+"""The algorithms of Canopy by name."""
+
+TAG_BYTES = {"mr-dfs": mr_dfs.tag_bytes}
+"""The size of a tag, for those that use devices: of degree, team size and tree version."""
+
+
+def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
+    """Return the algorithm called ``name`` with its options filled in.
+
+    Raises:
+        ScenarioError: If there is no such algorithm, or the options are not its own.
+    """
+    function = ALGORITHMS.get(name.lower().replace("_", "-")) or _of_user(name)
+    if not inspect.iscoroutinefunction(function):
+        raise ScenarioError(f"field `algorithm`: {name!r} is no `async def` function")
+    parameters = list(inspect.signature(function).parameters.values())
+    if len(parameters) not in (1, 2):
+        raise ScenarioError(
+            f"field `algorithm`: {name!r} takes {len(parameters)} parameters; "
+            "expected a body, or a body and its options"
+        )
+    if len(parameters) == 1:
+        if options:
+            raise ScenarioError(f"field `algorithm_options`: {name!r} takes none, found {options}")
+        return function
+    kind: Any = get_type_hints(function).get(parameters[1].name, dict)
+    try:
+        filled = msgspec.convert(options, kind)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"field `algorithm_options` of {name!r}: {error}") from None
+
+    def bound(body: Body) -> Coroutine[AnyRequest, Sight, Stop | None]:
+        coroutine: Coroutine[AnyRequest, Sight, Stop | None] = function(body, filled)
+        return coroutine
+
+    bound.__qualname__ = function.__qualname__
+    return bound
+
+
+def _of_user(name: str) -> Any:  # noqa: ANN401  whatever a user's module holds
+    module_name, colon, function_name = name.partition(":")
+    if not (module_name and colon and function_name):
+        known = ", ".join(sorted(ALGORITHMS))
+        raise ScenarioError(
+            f"field `algorithm`: found {name!r}, expected {known}, or package.module:function"
+        )
+    try:
+        return getattr(import_module(module_name), function_name)
+    except ImportError as error:
+        raise ScenarioError(f"field `algorithm`: cannot import {module_name!r}: {error}") from None
+    except AttributeError:
+        raise ScenarioError(
+            f"field `algorithm`: module {module_name!r} has no {function_name!r}"
+        ) from None
+
+
+def default_options(name: str) -> Struct | None:
+    """Return the options of an algorithm of Canopy as they are by default; ``None``: it has none."""
+    hints = get_type_hints(ALGORITHMS[name])
+    kind = hints.get("options")
+    return None if kind is None else kind()
+
+
+def tag_bytes_max(
+    name: str, options: dict[str, OptionValue], degree: int, team_size: int
+) -> int:
+    """Return the size of the largest tag that an algorithm writes at a vertex of ``degree``.
+
+    0 for an algorithm of a user, whose tags we cannot know.
+    """
+    sizes = TAG_BYTES.get(name.lower().replace("_", "-"))
+    return 0 if sizes is None else sizes(degree, team_size, options.get("version") == "tree")

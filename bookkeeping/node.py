@@ -1,0 +1,104 @@
+"""The bookkeeping service's process: one store, asked by the world server alone.
+
+    python -m bookkeeping.node DATABASE --run RUN --port PORT --capacity-bytes N [--keep-tags]
+"""
+
+import argparse
+import asyncio
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from bookkeeping.sqlite_store import SqliteStore
+from bookkeeping.store import Store
+from protocol.codec import decoder_of, encode
+from protocol.errors import CanopyError, MessageError, RunError, StoreError
+from protocol.lifeline import tie_to_supervisor
+from protocol.messages import (
+    SCHEMA_VERSION,
+    AnyStoreReply,
+    AnyStoreRequest,
+    Batch,
+    BatchReply,
+    Hello,
+    HelloReply,
+    ReadTags,
+    ReadTagsReply,
+    StoreRefusal,
+)
+from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop
+
+
+def respond(store: Store, request: AnyStoreRequest) -> AnyStoreReply:
+    """Do what the world asks of the store."""
+    try:
+        match request:
+            case Batch():
+                return BatchReply(store.apply(request))
+            case Hello(schema=schema, incarnation=incarnation):
+                if schema != SCHEMA_VERSION:
+                    return StoreRefusal(f"schema {schema}; this store speaks {SCHEMA_VERSION}")
+                return HelloReply(store.hello(incarnation))
+            case ReadTags(number=number, places=places):
+                return ReadTagsReply(number, store.read(places))
+    except StoreError as error:
+        return StoreRefusal(str(error))
+
+
+def serve(link: Link, store: Store) -> None:
+    """Answer the world until the link is closed."""
+    decode: Any = decoder_of(AnyStoreRequest)  # type: ignore[arg-type]
+    put = link.publisher(link.keys.store_replies)
+    inbox = link.inbox(link.keys.store_requests)
+    while True:
+        payload = inbox.receive_bytes()
+        try:
+            request = decode(payload)
+        except MessageError as error:
+            print(f"ignored: {error}", file=sys.stderr)
+            continue
+        put(encode(respond(store, request)))
+
+
+async def _main(arguments: argparse.Namespace) -> None:
+    with SqliteStore(
+        arguments.database,
+        run=arguments.run,
+        capacity_bytes=arguments.capacity_bytes,
+        fresh=not arguments.keep_tags,
+        durability=arguments.durability,
+    ) as store:
+        config = LinkConfig(
+            arguments.run, arguments.port, credentials=credentials_of("bookkeeping")
+        )
+        with Link(config) as link:
+            try:
+                await run_beside_loop(link, lambda: serve(link, store))
+            except RunError:
+                pass  # told to end
+
+
+def main() -> None:
+    """Run the bookkeeping service's process."""
+    tie_to_supervisor()
+    parser = argparse.ArgumentParser(prog="bookkeeping.node", description=__doc__)
+    parser.add_argument("database", type=Path, help="SQLite file")
+    parser.add_argument("--run", required=True, help="name of the run")
+    parser.add_argument("--port", type=int, required=True, help="port of the router")
+    parser.add_argument("--capacity-bytes", type=int, required=True, help="size of a tag")
+    parser.add_argument("--keep-tags", action="store_true", help="start on an earlier run's tags")
+    parser.add_argument("--durability", choices=("process", "power"), default="process")
+    arguments = parser.parse_args()
+    code = 0
+    try:
+        asyncio.run(_main(arguments))
+    except CanopyError as error:
+        print(f"bookkeeping: {error}", file=sys.stderr)
+        code = 2
+    sys.stderr.flush()
+    os._exit(code)  # the step thread may still block in Zenoh
+
+
+if __name__ == "__main__":
+    main()

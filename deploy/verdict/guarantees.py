@@ -1,0 +1,79 @@
+"""Guarantees: claims that a run kept, broke, or to which it has nothing to say."""
+
+from typing import Literal, Protocol
+
+from msgspec import Struct
+
+from deploy.verdict.ledger import Ledger, reachable
+from protocol.trace import Observer
+
+Status = Literal["over", "stalled"]
+
+
+class Guarantee(Struct, frozen=True):
+    """One claim, and whether this run kept it.
+
+    Attributes:
+        name: what is claimed, in a few words.
+        source: who claims it: paper and number.
+        holds: whether it held; ``None`` where the claim does not apply to this run.
+        detail: what was found and what is allowed, or why the claim does not apply.
+    """
+
+    name: str
+    source: str
+    holds: bool | None
+    detail: str
+
+
+class Monitor(Protocol):
+    """Judges the claims of one paper.
+
+    Attributes:
+        observe: to be called with each event; ``None`` if what the ledger counts is enough.
+    """
+
+    @property
+    def observe(self) -> Observer | None: ...
+
+    def complete(self) -> bool:
+        """Tell whether all was done that the paper asks for besides visiting every vertex."""
+        ...
+
+    def report(self, status: Status) -> list[Guarantee]:
+        """Judge the run once it has ended."""
+        ...
+
+
+def common(ledger: Ledger) -> list[Guarantee]:
+    """Judge what every algorithm promises, and what the world promises to every algorithm."""
+    return [covered(ledger), physics(ledger)]
+
+
+def covered(ledger: Ledger) -> Guarantee:
+    """Judge whether every vertex was visited."""
+    found = len(ledger.first_visits)
+    expected, _ = reachable(ledger.graph, ledger.starts)
+    holds: bool | None = found == expected
+    detail = f"{found} of {expected} vertices visited"
+    if not holds and not ledger.survivors:
+        holds, detail = None, f"{detail}; no robot survived"
+    return Guarantee("every vertex visited", "Canopy: what a run is for", holds, detail)
+
+
+def physics(ledger: Ledger) -> Guarantee:
+    """Judge whether the trace is one that robots of flesh and wheels could have left behind.
+
+    Every robot is where its moves took it, for as long as they take; one turn a round; events in the
+    order (time, round, wave, robot); nothing after a stop or a loss.
+    """
+    detail = f"{ledger.events} events, all possible"
+    if ledger.violations:
+        detail = f"{ledger.violations} of {ledger.events} events impossible; first: "
+        detail += ledger.first_violation or ""
+    return Guarantee(
+        "physics",
+        "Canopy, architecture: a robot cannot cheat",
+        ledger.violations == 0,
+        detail,
+    )

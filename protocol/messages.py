@@ -1,0 +1,286 @@
+"""Every message of Canopy: msgspec Structs, tagged, msgpack on the wire.
+
+A robot's life: `Join` -> `Briefing`; then `Request` -> `Sight` (or `Refusal`), one at a time, each
+numbered; at last `Stop`, answered by `Stopped`. One request is one message, one line of the trace and
+one possible moment of death.
+
+A place is a number: vertices are recognised when they are visited again (Brass et al. 2011, Sec. II,
+third model), and nothing but equality of these numbers means anything to a robot.
+"""
+
+from typing import Literal
+
+from msgspec import Struct
+
+SCHEMA_VERSION = 1
+"""Version of all messages below; checked when a process joins."""
+
+PAYLOAD_BYTES_MAX = 1 << 20
+"""Larger messages are refused at the door."""
+
+
+class Message(
+    Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False
+):
+    """Root of all messages; a message is never changed once built."""
+
+
+# Requests: what a robot asks of the world.
+
+
+class Request(Message, frozen=True):
+    """What a robot asks for next.
+
+    Attributes:
+        tag: bytes to write to the device of this place before anything else, or ``None``.
+        messages: radio messages to send from here, each heard by every robot in reach.
+    """
+
+    tag: bytes | None = None
+    messages: tuple[bytes, ...] = ()
+
+
+class Look(Request, frozen=True, tag="look"):
+    """See the place again (free). The first request of every robot."""
+
+
+class Write(Request, frozen=True, tag="write"):
+    """Write the tag of this place (free); ends the turn in this round."""
+
+
+class Exchange(Request, frozen=True, tag="exchange"):
+    """Send messages and see what has come (free); ends the turn in this round."""
+
+
+class Move(Request, frozen=True, tag="move"):
+    """Leave by a port (one move). ``exit`` is that port."""
+
+    exit: int = 0
+
+
+class Wait(Request, frozen=True, tag="wait"):
+    """Stay for ``duration`` (time units; in lockstep whole ticks)."""
+
+    duration: float = 1.0
+
+
+class WaitForNews(Request, frozen=True, tag="wait_for_news"):
+    """Stay until a message, a loss notice, or a change of the tag here; or ``at_most`` so long."""
+
+    at_most: float | None = None
+
+
+class Stop(Request, frozen=True, tag="stop"):
+    """The algorithm has returned."""
+
+
+AnyRequest = Look | Write | Exchange | Move | Wait | WaitForNews | Stop
+
+# Replies: what the world answers.
+
+
+class Sight(Message, frozen=True, tag="sight"):
+    """What a robot perceives when its turn comes.
+
+    Attributes:
+        time: virtual time.
+        place: number of the place where it stands.
+        entry: port by which it came here last; ``None`` at its start.
+        degree: number of ports of the place.
+        tag: bytes on the device here; empty where it is blank or there is none.
+        revision: how often the tag here was written.
+        alone: whether no other robot takes a turn here in this instant (first round only).
+        here: the other robots that stand here, in turn, waiting or stopped; the lost do not count.
+        inbox: radio messages since the last sight: sender and bytes, in order of arrival.
+        losses: robots of whose loss notice came since the last sight.
+    """
+
+    time: float
+    place: int
+    entry: int | None
+    degree: int
+    tag: bytes
+    revision: int
+    alone: bool
+    here: tuple[int, ...] = ()
+    inbox: tuple[tuple[int, bytes], ...] = ()
+    losses: tuple[int, ...] = ()
+
+
+class Stopped(Message, frozen=True, tag="stopped"):
+    """The stop is committed; the process may exit."""
+
+
+class Refusal(Message, frozen=True, tag="refusal"):
+    """The request did not happen; the robot that made it is out of the run.
+
+    Attributes:
+        error: name of a class of `protocol.errors`.
+        detail: one line: what was found, what was expected.
+    """
+
+    error: str
+    detail: str
+
+
+AnyReply = Sight | Stopped | Refusal
+
+# A robot and the world.
+
+
+class Join(Message, frozen=True, tag="join"):
+    """A process asks to be robot ``robot``.
+
+    Attributes:
+        schema: its SCHEMA_VERSION.
+        robot: the identity it asks for.
+        process: random text that tells this process from any other, so that it may ask again.
+    """
+
+    schema: int
+    robot: int
+    process: str
+
+
+class Briefing(Message, frozen=True, tag="briefing"):
+    """What a robot may know beforehand.
+
+    Attributes:
+        robot: its identity, 0 .. team_size - 1.
+        team_size: number of robots (the papers' k).
+        seed: the scenario's seed.
+        algorithm: name of the algorithm, or ``module:function``.
+        options: the scenario's algorithm options.
+        capacity_bytes: size of a bookkeeping device; 0 where there are none.
+        heartbeat: who hears of a loss.
+        blank_tags: whether all devices are blank at the beginning.
+        nonce: carried by its keys and its token from now on.
+    """
+
+    robot: int
+    team_size: int
+    seed: int
+    algorithm: str
+    options: dict[str, bool | int | float | str]
+    capacity_bytes: int
+    heartbeat: Literal["global", "reach"]
+    blank_tags: bool
+    nonce: str = ""
+
+
+class NumberedRequest(Message, frozen=True, tag="request"):
+    """A request and its sequence number, 1, 2, 3, ..."""
+
+    seq: int
+    request: AnyRequest
+
+
+class NumberedReply(Message, frozen=True, tag="reply"):
+    """The reply to the request of that number."""
+
+    seq: int
+    reply: AnyReply
+
+
+# The world and the supervisor.
+
+
+class KillOrder(Message, frozen=True, tag="kill_order"):
+    """The world stands still until robot ``robot`` is known dead; ``order`` numbers the order."""
+
+    order: int
+    robot: int
+
+
+class Reaped(Message, frozen=True, tag="reaped"):
+    """The supervisor's word: the process of robot ``robot`` is dead."""
+
+    robot: int
+
+
+class Progress(Message, frozen=True, tag="progress"):
+    """How far the run is; for people only, nothing depends on it.
+
+    Attributes:
+        time: virtual time.
+        steps: moves made, all robots.
+        covered: places visited.
+        alive: robots that are neither lost nor stopped.
+        lost: robots lost so far, with the time of each loss.
+    """
+
+    time: float
+    steps: int
+    covered: int
+    alive: int
+    lost: tuple[tuple[int, float], ...] = ()
+
+
+class Ended(Message, frozen=True, tag="ended"):
+    """The run has ended and everything is acknowledged; ``status`` as in the journal's end."""
+
+    status: Literal["over", "stalled"]
+
+
+AnyReport = KillOrder | Progress | Ended
+
+# The world and the bookkeeping store.
+
+
+class Hello(Message, frozen=True, tag="hello"):
+    """The world asks how far the store is, under its incarnation number."""
+
+    schema: int
+    incarnation: int
+
+
+class HelloReply(Message, frozen=True, tag="hello_reply"):
+    """The wave number of the last batch applied (0: none)."""
+
+    wave: int
+
+
+class TagWrite(Message, frozen=True, tag="tag_write"):
+    """One write: the tag of ``place`` is now ``tag`` and was written ``revision`` times."""
+
+    place: int
+    revision: int
+    tag: bytes
+
+
+class Batch(Message, frozen=True, tag="batch"):
+    """Writes of the waves up to ``wave``, in order; applied once, in one transaction."""
+
+    incarnation: int
+    wave: int
+    writes: tuple[TagWrite, ...]
+
+
+class BatchReply(Message, frozen=True, tag="batch_reply"):
+    """The batch up to ``wave`` is durable, as far as the scenario's durability asks."""
+
+    wave: int
+
+
+class ReadTags(Message, frozen=True, tag="read_tags"):
+    """Ask for the tags that an earlier run left at ``places``; ``number`` numbers the question."""
+
+    number: int
+    places: tuple[int, ...]
+
+
+class ReadTagsReply(Message, frozen=True, tag="read_tags_reply"):
+    """The tags at the places asked for; places without a tag are left out."""
+
+    number: int
+    tags: tuple[TagWrite, ...]
+
+
+class StoreRefusal(Message, frozen=True, tag="store_refusal"):
+    """The store refuses what it was asked, with the reason."""
+
+    detail: str
+
+
+AnyStoreRequest = Hello | Batch | ReadTags
+AnyStoreReply = HelloReply | BatchReply | ReadTagsReply | StoreRefusal

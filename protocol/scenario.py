@@ -1,0 +1,285 @@
+"""The scenario: one TOML file that says what is played.
+
+`load` reads it into one frozen Struct. Every error is a `ScenarioError` of one line that names file,
+field, what was found and what was expected. Times are virtual: ticks under the lockstep clock, time
+units under the event clock. The comment behind a field is its entry in the scenario reference.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from protocol.errors import ScenarioError
+
+Positive = Annotated[float, Meta(gt=0)]
+Count = Annotated[int, Meta(ge=1)]
+Natural = Annotated[int, Meta(ge=0)]
+OptionValue = bool | int | float | str
+
+
+class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Root of all parts of a scenario."""
+
+
+# Generators: a world without a file.
+
+
+class NaryTree(Section, frozen=True, kw_only=True, tag="nary-tree", tag_field="kind"):
+    """Every vertex but the leaves has ``branching`` children; leaves at depth ``radius``."""
+
+    branching: Count  #: Children of each inner vertex.
+    radius: Natural  #: Depth of the leaves, edges.
+
+
+class RandomTree(Section, frozen=True, kw_only=True, tag="random-tree", tag_field="kind"):
+    """A tree drawn uniformly among all labelled trees."""
+
+    vertices: Count  #: Number of vertices.
+
+
+class WideTree(Section, frozen=True, kw_only=True, tag="wide-tree", tag_field="kind"):
+    """A random recursive tree: each vertex hangs from an earlier one (Brass et al., Sec. V)."""
+
+    edges: Natural  #: Number of edges.
+
+
+class LongTree(Section, frozen=True, kw_only=True, tag="long-tree", tag_field="kind"):
+    """The tip gets one to four children, one of which is the next tip (Brass et al., Sec. V)."""
+
+    edges: Natural  #: Number of edges.
+
+
+class RandomGraph(Section, frozen=True, kw_only=True, tag="random-graph", tag_field="kind"):
+    """A random recursive tree and further edges between distinct pairs."""
+
+    vertices: Count  #: Number of vertices.
+    edges: Natural  #: Number of edges, those of the tree included.
+
+
+class Cave(Section, frozen=True, kw_only=True, tag="cave", tag_field="kind"):
+    """Winding passages, chambers, dead ends and a few loops; edges have lengths in metres."""
+
+    vertices: Count  #: Number of vertices.
+    loops: Natural = 0  #: Edges besides those of a spanning tree.
+
+
+Generator = NaryTree | RandomTree | WideTree | LongTree | RandomGraph | Cave
+
+# The parts of a scenario.
+
+
+class WorldSection(Section, frozen=True, kw_only=True):
+    """The place. Give either ``map`` or ``generate``."""
+
+    map: str | None = None  #: Map file, absolute or relative to the scenario.
+    generate: Generator | None = None  #: A generator (``kind``) and its parameters.
+    start: str | int | None = None  #: Start vertex of all robots; default: the first of the file.
+    starts: tuple[str | int, ...] | None = None  #: Start vertex of each robot instead.
+
+
+class TeamSection(Section, frozen=True, kw_only=True):
+    """The robots."""
+
+    robots: Count  #: Number of robots (the papers' k).
+    speed: Positive | tuple[Positive, ...] = 1.0  #: Length per time unit (event clock), or one each.
+
+
+class ClockSection(Section, frozen=True, kw_only=True):
+    """Virtual time."""
+
+    mode: Literal["lockstep", "event"] = "lockstep"  #: One tick a move, or edge length / speed.
+    jitter: Annotated[float, Meta(ge=0, lt=1)] | Literal["exponential"] = 0.0
+    #: Event clock: each move takes U(1 - jitter, 1 + jitter) times as long, or Exp(1) times.
+    rounds_max: Count = 10_000  #: Rounds of one instant after which a robot that still acts is out.
+
+
+class RadioSection(Section, frozen=True, kw_only=True):
+    """Who hears whom."""
+
+    reach: Literal["none", "same-place", "global"] = "none"  #: Who hears a message.
+    heartbeat: Literal["global", "reach"] = "global"  #: Who gets notice of a loss.
+
+
+class SensingSection(Section, frozen=True, kw_only=True):
+    """What a robot perceives."""
+
+    mode: Literal["ports"] = "ports"  #: The ports of its vertex; passages are opaque.
+
+
+class DeviceSection(Section, frozen=True, kw_only=True):
+    """The bookkeeping device at each place."""
+
+    capacity_bytes: Natural = 888  #: Size of its tag; 0: places carry no device.
+
+
+class BookkeepingSection(Section, frozen=True, kw_only=True):
+    """The store that outlives a run."""
+
+    database: str | None = None  #: SQLite file, relative to the scenario; default: in the run folder.
+    fresh: bool = True  #: Start on blank tags; false: on those that an earlier run left.
+
+
+class NetworkSection(Section, frozen=True, kw_only=True):
+    """How the processes talk."""
+
+    router: Literal["embedded", "separate"] = "embedded"  #: In the world server, or a process.
+    port: Annotated[int, Meta(ge=0, le=65535)] = 0  #: Port on loopback; 0: a free one is chosen.
+    patience_s: Annotated[float, Meta(ge=1)] = 5.0  #: A silent robot is lost after this time.
+
+
+class Fault(Section, frozen=True, kw_only=True):
+    """One scheduled fault. Give ``at`` or ``at_request``."""
+
+    kill: str  #: ``"robot:3"``.
+    at: Annotated[float, Meta(ge=0)] | None = None  #: Virtual time at which it strikes.
+    round: Natural = 0  #: With ``at``: after how many rounds of that instant.
+    at_request: Count | None = None  #: In place of the robot's n-th request.
+
+    @property
+    def robot(self) -> int:
+        """The robot that this fault kills."""
+        return int(self.kill.removeprefix("robot:"))
+
+
+class Scenario(Section, frozen=True, kw_only=True):
+    """What is played."""
+
+    name: str = ""  #: For people; default: the name of the file.
+    algorithm: str  #: A name that ``canopy doctor`` lists, or ``package.module:function``.
+    algorithm_options: dict[str, OptionValue] = {}  #: As the algorithm defines them.
+    seed: int = 0  #: All randomness of the run comes from it.
+    durability: Literal["process", "power"] = "process"  #: What survives: kill -9, or power loss too.
+    world: WorldSection  #: The place.
+    team: TeamSection  #: The robots.
+    clock: ClockSection = ClockSection()  #: Virtual time.
+    radio: RadioSection = RadioSection()  #: Who hears whom.
+    sensing: SensingSection = SensingSection()  #: What a robot perceives.
+    device: DeviceSection = DeviceSection()  #: The bookkeeping device at each place.
+    bookkeeping: BookkeepingSection = BookkeepingSection()  #: The store that outlives a run.
+    network: NetworkSection = NetworkSection()  #: How the processes talk.
+    faults: tuple[Fault, ...] = ()  #: Scheduled faults.
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file.
+
+    Args:
+        path: the TOML file. Paths within it are relative to its folder.
+        overrides: ``key.path=value`` each, as of ``--set``. The value is TOML; what is no TOML is
+            taken as text. Relative paths are relative to the current folder.
+
+    Raises:
+        ScenarioError: If the file or an override cannot be used.
+    """
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ScenarioError(f"{path}: {_reason(error)}; expected a scenario file (TOML)") from None
+    except UnicodeDecodeError as error:
+        raise ScenarioError(f"{path}: not UTF-8 at byte {error.start}; expected TOML") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from None
+    _anchor(tree, path.parent)
+    for override in overrides:
+        _override(tree, override)
+    return from_tree(tree, str(path), default_name=path.stem)
+
+
+def from_tree(tree: dict[str, Any], source: str, default_name: str = "scenario") -> Scenario:
+    """Check a tree of plain values and turn it into a scenario.
+
+    Raises:
+        ScenarioError: If a field is missing, unknown, of the wrong type or out of range; the message
+            begins with ``source``.
+    """
+    if isinstance(tree, dict) and not tree.get("name"):
+        tree = {**tree, "name": default_name}
+    try:
+        scenario = msgspec.convert(tree, Scenario)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"{source}: {_in_words(str(error))}") from None
+    _check(scenario, source)
+    return scenario
+
+
+def to_tree(scenario: Scenario) -> dict[str, Any]:
+    """Turn a scenario into plain values; `from_tree` gives it back."""
+    tree = msgspec.to_builtins(scenario)
+    assert isinstance(tree, dict)
+    return tree
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
+
+
+def _in_words(message: str) -> str:
+    """Rewrite a msgspec message so that it leads with the field."""
+    text, _, where = message.partition(" - at `$")
+    field = where.rstrip("`").lstrip(".").replace("[...]", "[]")
+    return f"field `{field}`: {text}" if field else text
+
+
+def _anchor(tree: dict[str, Any], folder: Path) -> None:
+    """Make the relative paths of a scenario relative to its own folder."""
+    for section, field in (("world", "map"), ("bookkeeping", "database")):
+        part = tree.get(section)
+        if isinstance(part, dict) and isinstance(part.get(field), str):
+            part[field] = str(folder / part[field])
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    names = key.strip().split(".")
+    if not equals or not all(names):
+        raise ScenarioError(f"--set {override}: expected key.path=value, such as team.robots=16")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    node = tree
+    for name in names[:-1]:
+        node = node.setdefault(name, {})
+        if not isinstance(node, dict):
+            raise ScenarioError(f"--set {override}: `{name}` is no section")
+    node[names[-1]] = value
+    # A map given here replaces a generator of the file, and the other way round.
+    if names[0] == "world" and len(names) > 1 and names[1] in ("map", "generate"):
+        node = tree["world"]
+        node.pop("generate" if names[1] == "map" else "map", None)
+
+
+def _check(scenario: Scenario, source: str) -> None:
+    """Check what types alone do not say."""
+
+    def refuse(field: str, found: object, expected: str) -> ScenarioError:
+        return ScenarioError(f"{source}: field `{field}`: found {found!r}, expected {expected}")
+
+    world, team = scenario.world, scenario.team
+    if (world.map is None) == (world.generate is None):
+        found = "neither" if world.map is None else "both"
+        raise refuse("world", found, "one of `map` and `generate`")
+    if world.start is not None and world.starts is not None:
+        raise refuse("world", "both", "one of `start` and `starts`")
+    if world.starts is not None and len(world.starts) != team.robots:
+        raise refuse("world.starts", list(world.starts), f"one for each of {team.robots} robots")
+    if isinstance(team.speed, tuple) and len(team.speed) != team.robots:
+        raise refuse("team.speed", list(team.speed), f"one for each of {team.robots} robots")
+    if scenario.clock.mode == "lockstep" and scenario.clock.jitter != 0:
+        raise refuse("clock.jitter", scenario.clock.jitter, "0 under the lockstep clock")
+    for index, fault in enumerate(scenario.faults):
+        field = f"faults[{index}]"
+        kind, colon, number = fault.kill.partition(":")
+        if kind != "robot" or not colon or not number.isdecimal() or int(number) >= team.robots:
+            expected = f'"robot:0" to "robot:{team.robots - 1}"'
+            raise refuse(f"{field}.kill", fault.kill, expected)
+        if (fault.at is None) == (fault.at_request is None):
+            raise refuse(field, fault.kill, "one of `at` and `at_request`")
+        if fault.at is not None and fault.at == float("inf"):
+            raise refuse(f"{field}.at", fault.at, "a finite time")
+        if fault.at_request is not None and fault.round:
+            raise refuse(f"{field}.round", fault.round, "no round with `at_request`")

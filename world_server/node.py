@@ -1,0 +1,494 @@
+"""The world server's process: Zenoh on one side, the pure world and its journal on the other.
+
+    python -m world_server.node RUN_DIR --port PORT [--router separate]
+
+The run's folder holds the journal; its first record, the opening, says what is to be played. One
+thread does the steps: it publishes the replies of a wave, waits until every robot of the wave has
+answered or is lost, commits, and goes on. Everything it must hear comes by one inbox. The event loop
+beside it keeps the time: it wakes the step thread now and then, for what must be repeated.
+"""
+
+import argparse
+import asyncio
+import os
+import secrets
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any, Literal
+
+from protocol.codec import decoder_of, encode
+from protocol.errors import CanopyError, FencedError, MessageError, RunError, StoreError
+from protocol.lifeline import tie_to_supervisor
+from protocol.messages import (
+    PAYLOAD_BYTES_MAX,
+    SCHEMA_VERSION,
+    AnyReply,
+    AnyRequest,
+    AnyStoreReply,
+    AnyStoreRequest,
+    BatchReply,
+    Briefing,
+    Ended,
+    Hello,
+    HelloReply,
+    Join,
+    KillOrder,
+    NumberedReply,
+    NumberedRequest,
+    Progress,
+    ReadTags,
+    ReadTagsReply,
+    Reaped,
+    Refusal,
+    Stop,
+    Stopped,
+    TagWrite,
+)
+from protocol.trace import Event, LossCause, TraceDigest
+from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop
+from world_server import world as core
+from world_server.journal import Closing, Incarnation, Joined, Journal, OldTags, WaveRecord, scan
+from world_server.replay import Replayed, replay
+from world_server.write_behind import WriteBehind
+
+PROGRESS_S = 0.1
+"""Progress is reported this often."""
+
+
+class Seat:
+    """What the shell keeps of one robot.
+
+    Attributes:
+        process: text that tells the process from any other; empty before it has joined.
+        nonce: what its keys and its token carry.
+        received: number of the last request that came.
+        request: that request, until its wave is committed.
+        reply: the last reply, encoded, and the number it answers.
+        put: publishes to the robot.
+    """
+
+    __slots__ = ("answered", "nonce", "process", "put", "received", "reply", "request")
+
+    def __init__(self) -> None:
+        self.process = ""
+        self.nonce = ""
+        self.received = 0
+        self.answered = 0
+        self.request: AnyRequest | None = None
+        self.reply = b""
+        self.put: Any = None
+
+
+class WorldNode:
+    """One life of a world server."""
+
+    def __init__(self, run_dir: Path, link: Link) -> None:
+        """Recover what the journal holds and declare all keys."""
+        self._link = link
+        self._keys = link.keys
+        path = run_dir / "journal"
+        self._incarnation = 1 + sum(isinstance(record, Incarnation) for record, _ in scan(path))
+        self._store = WriteBehind(self._incarnation)
+        self._wave_number = 1
+        self._digest = TraceDigest()
+        self._visited: set[int] = set()
+        recovered = self._recover(path)
+        self._scenario = recovered.scenario
+        self._world = recovered.world
+        self._output = recovered.output
+        self._closing = recovered.closing
+        self._has_store = self._scenario.device.capacity_bytes > 0
+        self._journal = Journal(path, self._scenario.durability)
+        self._journal.append(Incarnation(self._incarnation))
+        self._journal_lock = threading.Lock()
+        self._started = time.monotonic()
+        # What was heard and is not yet part of an input.
+        self._missing: set[int] = set()
+        self._new_losses: dict[int, LossCause] = {}
+        self._dead: set[int] = set()
+        self._tokens: deque[tuple[str, bool]] = deque()
+        self._hello: int | None = None
+        self._old_tags: ReadTagsReply | None = None
+        self._senders: dict[str, tuple[str, int, str]] = {}
+        self._wake_pending = False
+        self._decode_request = decoder_of(NumberedRequest)
+        self._decode_join = decoder_of(Join)
+        self._decode_reaped = decoder_of(Reaped)
+        self._decode_store: Any = decoder_of(AnyStoreReply)  # type: ignore[arg-type]
+        self._next_progress = 0.0
+        self._inbox = link.inbox(self._keys.world_in)
+        self._put_wake = link.publisher(self._keys.wake)
+        self._put_report = link.publisher(self._keys.world_reports)
+        self._put_store = link.publisher(self._keys.store_requests)
+        for robot, seat in enumerate(self._seats):
+            if seat.nonce:
+                self._declare(robot, seat)
+        link.watch(self._keys.alive(), self._token_changed)
+        link.answer(self._keys.join("*"), self._join)
+
+    # Before the first step.
+
+    def _recover(self, path: Path) -> Replayed:
+        joined: dict[int, Joined] = {}
+        waves = 0
+
+        def note_wave(_: core.Wave, __: WaveRecord) -> None:
+            nonlocal waves
+            waves += 1
+            self._wave_number = waves + 1
+
+        def note_joined(record: Joined) -> None:
+            joined[record.robot] = record
+
+        recovered = replay(
+            path,
+            observe=self._observe,
+            on_write=self._note_write,
+            on_wave=note_wave,
+            on_joined=note_joined,
+            until_asked=True,
+        )
+        self._wave_number = waves + 1
+        self._seats = [Seat() for _ in recovered.world.bodies]
+        for robot, (seat, body) in enumerate(
+            zip(self._seats, recovered.world.bodies, strict=True)
+        ):
+            if robot in joined:
+                seat.process, seat.nonce = joined[robot].process, joined[robot].nonce
+            seat.received = seat.answered = body.requests
+            if body.state not in (core.STOPPED, core.LOST, core.IN_TURN):
+                seat.answered -= 1
+            if body.state == core.STOPPED:
+                seat.reply = encode(NumberedReply(body.requests, Stopped()))
+        return recovered
+
+    def _observe(self, event: Event) -> None:
+        self._digest(event)
+        if event.place is not None:
+            self._visited.add(event.place)
+
+    def _note_write(self, place: int, revision: int, tag: bytes) -> None:
+        self._store.note(self._wave_number, place, revision, tag)
+
+    def _declare(self, robot: int, seat: Seat) -> None:
+        seat.put = self._link.publisher(
+            self._keys.replies(robot, seat.nonce), express=len(self._seats) == 1
+        )
+
+    # On threads of Zenoh's.
+
+    def _join(self, key: str, payload: bytes) -> bytes:
+        """Answer a process that wants to be a robot."""
+        try:
+            robot = self._keys.joining(key)
+            join = self._decode_join(payload)
+            if join.schema != SCHEMA_VERSION:
+                raise MessageError(f"schema {join.schema}; this run speaks {SCHEMA_VERSION}")
+            if join.robot != robot or not 0 <= robot < len(self._seats):
+                raise MessageError(f"no robot {join.robot} may join on {key}")
+        except MessageError as error:
+            return encode(Refusal("JoinError", str(error)))
+        with self._journal_lock:
+            seat = self._seats[robot]
+            if seat.process and seat.process != join.process:
+                return encode(Refusal("JoinError", f"robot {robot} has joined already"))
+            if robot in self._dead:
+                return encode(Refusal("JoinError", f"robot {robot} is lost"))
+            if not seat.process:
+                nonce = secrets.token_hex(8)
+                self._journal.append(Joined(robot, join.process, nonce))
+                seat.nonce = nonce
+                self._declare(robot, seat)
+                seat.process = join.process
+        scenario = self._scenario
+        return encode(
+            Briefing(
+                robot,
+                scenario.team.robots,
+                scenario.seed,
+                scenario.algorithm,
+                scenario.algorithm_options,
+                scenario.device.capacity_bytes,
+                scenario.radio.heartbeat,
+                scenario.bookkeeping.fresh,
+                seat.nonce,
+            )
+        )
+
+    def _token_changed(self, key: str, alive: bool) -> None:
+        if not alive:  # a token never seen is not a token gone
+            self._tokens.append((key, alive))
+            self.wake()
+
+    def wake(self) -> None:
+        """Let the step thread look up, for what must be repeated or has changed."""
+        if not self._wake_pending:
+            self._wake_pending = True
+            self._put_wake(b"")
+
+    def tick(self) -> None:
+        """Wake the step thread by the clock, even if an earlier reminder was lost."""
+        self._wake_pending = False
+        self.wake()
+
+    # The step thread.
+
+    def serve(self) -> None:
+        """Play the run to its end; then answer repeats until the link is closed."""
+        if self._has_store:
+            self._await(lambda: self._hello is not None, self._say_hello)
+            assert self._hello is not None
+            self._store.resume(self._hello)
+        output = self._output
+        while not isinstance(output, core.End):
+            if isinstance(output, core.Wave):
+                output = self._serve_wave(output)
+            elif isinstance(output, core.KillOrder):
+                output = self._carry_out(output)
+            else:
+                output = self._world.resume(self._read_old_tags(output.places))
+        self._store.flush()
+        self._send_batches()
+        self._await(lambda: not self._has_store or self._store.idle, self._send_batches)
+        if self._closing is None:
+            wall_s = time.monotonic() - self._started
+            self._closing = Closing(output.status, self._digest.hexdigest(), wall_s)
+            with self._journal_lock:
+                self._journal.append(self._closing)
+        ended = encode(Ended(output.status))
+        try:
+            self._await(lambda: False, lambda: self._put_report(ended))
+        except RunError:
+            self._journal.close()
+
+    def _serve_wave(self, wave: core.Wave) -> core.Output:
+        seats = self._seats
+        missing = self._missing
+        for robot, sight in zip(wave.robots, wave.sights, strict=True):
+            if sight is not None:
+                self._reply(robot, sight)
+            if seats[robot].request is None and robot not in self._new_losses:
+                missing.add(robot)
+        while missing:
+            self._hear()
+        lost: tuple[tuple[int, LossCause], ...] = ()
+        requests: list[AnyRequest | None] = [seats[robot].request for robot in wave.robots]
+        if self._new_losses:
+            lost = tuple(sorted(self._new_losses.items()))
+            requests = [
+                None if robot in self._new_losses else request
+                for robot, request in zip(wave.robots, requests, strict=True)
+            ]
+            self._new_losses.clear()
+        with self._journal_lock:
+            self._journal.append(WaveRecord(requests, lost))
+        output = self._world.resume(core.Answers(requests, lost))
+        self._wave_number += 1
+        for robot, request in zip(wave.robots, requests, strict=True):
+            seats[robot].request = None
+            if request.__class__ is Stop and self._world.bodies[robot].state == core.STOPPED:
+                self._reply(robot, Stopped())
+            elif robot in self._world.refusals:
+                self._reply(robot, self._world.refusals[robot])
+        if self._has_store:
+            self._send_batches()
+        return output
+
+    def _carry_out(self, order: core.KillOrder) -> core.Output:
+        payload = encode(KillOrder(order.fault, order.robot))
+        self._await(lambda: order.robot in self._dead, lambda: self._put_report(payload))
+        self._new_losses.pop(order.robot, None)
+        self._seats[order.robot].request = None
+        return self._world.resume(None)
+
+    def _read_old_tags(self, places: tuple[int, ...]) -> tuple[TagWrite, ...]:
+        number = self._wave_number
+        question = encode(ReadTags(number, places))
+        self._old_tags = None
+        self._await(
+            lambda: self._old_tags is not None and self._old_tags.number == number,
+            lambda: self._put_store(question),
+        )
+        assert self._old_tags is not None
+        tags = self._old_tags.tags
+        # What the store holds now may be newer than what the earlier run left: a replay needs this.
+        with self._journal_lock:
+            self._journal.append(OldTags(tags))
+        return tags
+
+    def _await(self, done: Any, ask: Any) -> None:  # noqa: ANN401  two plain functions
+        """Ask, and hear whatever comes, until it is done; ask again by the clock."""
+        ask_again = 0.0
+        while not done():
+            if time.monotonic() >= ask_again:
+                ask_again = time.monotonic() + 0.1
+                ask()
+                continue
+            self._hear()
+
+    def _reply(self, robot: int, reply: AnyReply) -> None:
+        seat = self._seats[robot]
+        seat.answered = seat.received
+        seat.reply = encode(NumberedReply(seat.received, reply))
+        if seat.put is not None:
+            seat.put(seat.reply)
+
+    # What comes in.
+
+    def _hear(self) -> None:
+        """Wait for one message and take it in."""
+        key, payload = self._inbox.receive()
+        sender = self._senders.get(key)
+        try:
+            if sender is None:
+                sender = self._senders[key] = self._keys.sender(key)
+            kind, robot, nonce = sender
+            if kind == "robot":
+                self._heard_robot(robot, nonce, payload)
+            elif kind == "wake":
+                self._woken()
+            elif kind == "bookkeeping":
+                self._heard_store(self._decode_store(payload))
+            else:
+                self._heard_dead(self._decode_reaped(payload).robot)
+        except MessageError as error:
+            print(f"ignored: {error}", file=sys.stderr)
+
+    def _heard_robot(self, robot: int, nonce: str, payload: bytes) -> None:
+        if robot >= len(self._seats) or self._seats[robot].nonce != nonce:
+            return  # nobody that joined speaks there
+        seat = self._seats[robot]
+        try:
+            numbered = self._decode_request(payload)
+        except MessageError as error:
+            self._fail(robot, Refusal("MessageError", str(error)))
+            return
+        if numbered.seq == seat.received + 1:
+            if robot in self._dead or self._world.bodies[robot].state == core.LOST:
+                seat.received += 1
+                self._reply(robot, Refusal(FencedError.__name__, f"robot {robot} is lost"))
+            elif seat.answered == seat.received:
+                seat.received += 1
+                seat.request = numbered.request
+                self._missing.discard(robot)
+            else:
+                detail = f"request {numbered.seq} before {seat.received} was answered"
+                self._fail(robot, Refusal("MessageError", detail))
+        elif numbered.seq == seat.received:
+            if self._world.bodies[robot].state == core.LOST and robot not in self._world.refusals:
+                self._reply(robot, Refusal(FencedError.__name__, f"robot {robot} is lost"))
+            elif seat.answered == seat.received and seat.put is not None and seat.reply:
+                seat.put(seat.reply)
+        elif numbered.seq > seat.received:
+            detail = f"request {numbered.seq} follows {seat.received}"
+            self._fail(robot, Refusal("MessageError", detail))
+
+    def _fail(self, robot: int, refusal: Refusal) -> None:
+        """Refuse what no robot of ours would send; it is out of the run."""
+        self._reply(robot, refusal)
+        self._heard_lost(robot, "failed")
+
+    def _heard_lost(self, robot: int, cause: LossCause) -> None:
+        if self._world.bodies[robot].state < core.STOPPED:
+            self._new_losses.setdefault(robot, cause)
+            self._missing.discard(robot)
+
+    def _heard_dead(self, robot: int) -> None:
+        if 0 <= robot < len(self._seats):
+            self._dead.add(robot)
+            self._heard_lost(robot, "killed")
+
+    def _woken(self) -> None:
+        self._wake_pending = False
+        while self._tokens:
+            key, _ = self._tokens.popleft()
+            _, robot, nonce = self._keys.sender(key)
+            if robot < len(self._seats) and self._seats[robot].nonce == nonce:
+                self._heard_dead(robot)
+        if self._has_store:
+            self._send_batches()
+        if time.monotonic() >= self._next_progress:
+            self._next_progress = time.monotonic() + PROGRESS_S
+            self._report_progress()
+
+    def _report_progress(self) -> None:
+        bodies = self._world.bodies
+        progress = Progress(
+            self._world.time,
+            sum(body.moves for body in bodies),
+            len(self._visited),
+            self._world.alive(),
+            tuple((body.robot, body.lost_at) for body in bodies if body.lost_at is not None),
+        )
+        self._put_report(encode(progress))
+
+    # The store.
+
+    def _say_hello(self) -> None:
+        self._put_store(encode(Hello(SCHEMA_VERSION, self._incarnation)))
+
+    def _send_batches(self) -> None:
+        now = time.monotonic()
+        due = self._store.due_s()
+        batch = self._store.take(now)
+        if batch is None and due is not None and due <= now:
+            batch = self._store.repeat(now)
+        if batch is not None:
+            self._put_store(encode(batch))
+
+    def _heard_store(self, reply: AnyStoreReply) -> None:
+        if isinstance(reply, BatchReply):
+            self._store.acknowledged(reply.wave)
+            self._send_batches()
+        elif isinstance(reply, HelloReply):
+            if self._hello is None:
+                self._hello = reply.wave
+        elif isinstance(reply, ReadTagsReply):
+            self._old_tags = reply
+        else:
+            raise StoreError(reply.detail)
+
+
+async def _main(arguments: argparse.Namespace) -> None:
+    run_dir: Path = arguments.run_dir
+    embedded: bool = arguments.router == "embedded"
+    mode: Literal["router", "client"] = "router" if embedded else "client"
+    users = run_dir / "users"
+    config = LinkConfig(
+        arguments.run,
+        arguments.port,
+        mode,
+        credentials_of("world"),
+        str(users) if embedded and users.exists() else None,
+        arguments.robots,
+    )
+    with Link(config) as link:
+        node = WorldNode(run_dir, link)
+        await run_beside_loop(link, node.serve, tick=node.tick)
+
+
+def main() -> None:
+    """Run the world server's process."""
+    tie_to_supervisor()
+    parser = argparse.ArgumentParser(prog="world_server.node", description=__doc__)
+    parser.add_argument("run_dir", type=Path, help="folder of the run, with its journal")
+    parser.add_argument("--run", required=True, help="name of the run")
+    parser.add_argument("--port", type=int, required=True, help="port of the router")
+    parser.add_argument("--robots", type=int, required=True, help="number of robots")
+    parser.add_argument("--router", choices=("embedded", "separate"), default="embedded")
+    arguments = parser.parse_args()
+    code = 0
+    try:
+        asyncio.run(_main(arguments))
+    except CanopyError as error:
+        print(f"world: {error}", file=sys.stderr)
+        code = 2
+    sys.stderr.flush()
+    os._exit(code)  # the step thread may still block in Zenoh
+
+
+if __name__ == "__main__":
+    main()
