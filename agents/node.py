@@ -2,8 +2,8 @@
 
     python -m agents.node --run RUN --port PORT --robot 3 [--host HOST]
 
-Exit codes: 0 the robot stopped; 1 its algorithm failed or the world refused a request; 2 it could not
-join; 3 the world had declared it lost.
+Exit codes: 0 the robot stopped; 1 its algorithm failed; 2 it could not join; 3 the world had declared
+it lost; 4 the world refused a request.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from protocol.lifeline import tie_to_supervisor
 from protocol.messages import Refusal, Sight, Stopped
 from protocol.zenoh_link import Link, LinkConfig, RobotLine, credentials_of, run_beside_loop
 
-STOPPED, FAILED, NOT_JOINED, FENCED = range(4)
+STOPPED, FAILED, NOT_JOINED, FENCED, REFUSED = range(5)
 
 
 def live(line: RobotLine) -> int:
@@ -38,14 +38,14 @@ def live(line: RobotLine) -> int:
                 return STOPPED
             if isinstance(reply, Refusal):
                 driver.close()
-                print(f"robot {briefing.robot}: {reply.error}: {reply.detail}", file=sys.stderr)
-                return FAILED
+                print(f"{reply.error}: {reply.detail}", file=sys.stderr)
+                return REFUSED
             sight = reply
     except FencedError as error:
         print(f"robot {briefing.robot}: fenced: {error}", file=sys.stderr)
         return FENCED
     except Exception:  # noqa: BLE001  whatever a user's algorithm raises
-        print(f"robot {briefing.robot} failed:\n{traceback.format_exc()}", file=sys.stderr)
+        traceback.print_exc()
         return FAILED
 
 
@@ -61,7 +61,7 @@ async def _main(arguments: argparse.Namespace) -> int:
         try:
             line = await asyncio.to_thread(RobotLine, link, arguments.robot)
         except (JoinError, OutcomeUnknownError) as error:
-            print(f"robot {arguments.robot}: cannot join: {error}", file=sys.stderr)
+            print(f"JoinError: {error}", file=sys.stderr)
             return NOT_JOINED
         return await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
 

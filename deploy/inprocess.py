@@ -1,50 +1,47 @@
 """The in-process engine: one thread, no event loop, no sockets; the same algorithms and world."""
 
+import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from agents.body import REQUEST_TYPES, Algorithm, Body, Driver
-from protocol.errors import RuleError
-from protocol.messages import AnyRequest, Briefing
-from protocol.scenario import Scenario
-from protocol.trace import LossCause
-from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
+from deploy.run_dir import RunDir
+from deploy.setting import Setting
+from protocol.messages import AnyRequest, Briefing, Progress
+from protocol.scenario import Scenario, to_tree
+from protocol.trace import LossCause, TraceDigest
+from world_server.journal import Closing, Journal, OldTags, WaveRecord, opening
+from world_server.terrain import GraphTerrain
+from world_server.world import Answers, End, KillOrder, Output, Wave, World, briefing
 
+SHOW_S = 0.1
+"""Progress is shown this often, looked at once in so many waves."""
 
-def briefing_of(scenario: Scenario, robot: int, nonce: str = "") -> Briefing:
-    """Return what ``robot`` may know beforehand."""
-    return Briefing(
-        robot,
-        scenario.team.robots,
-        scenario.seed,
-        scenario.algorithm,
-        scenario.algorithm_options,
-        scenario.device.capacity_bytes,
-        scenario.radio.heartbeat,
-        scenario.bookkeeping.fresh,
-        nonce,
-    )
+SHOW_WAVES = 512
+
+Recorder = Callable[[Answers], None]
+"""Called with the input to each wave before it is applied."""
 
 
 def play(
-    scenario: Scenario,
-    world: World,
-    algorithm: Algorithm,
+    scenario: Scenario, world: World, algorithm: Algorithm, record: Recorder | None = None
 ) -> tuple[End, dict[int, str]]:
     """Play a run to its end.
 
     Returns:
         How it ended, and for each robot whose algorithm failed the text of its exception.
     """
-    drivers = [Driver(algorithm, Body(briefing_of(scenario, robot))) for robot in range(scenario.team.robots)]
+    robots = range(scenario.team.robots)
+    drivers = [Driver(algorithm, Body(briefing(scenario, robot))) for robot in robots]
     send = [driver.send for driver in drivers]
+    resume = world.resume
     failures: dict[int, str] = {}
-    output = world.begin()
+    output: Output = world.begin()
     while True:
-        if type(output) is Wave:
-            requests = []
+        if output.__class__ is Wave:
+            requests: list[AnyRequest | None] = []
             lost: tuple[tuple[int, LossCause], ...] = ()
-            for robot, sight in zip(output.robots, output.sights, strict=True):
+            for robot, sight in zip(output.robots, output.sights):  # noqa: B905  equal by design
                 # `Driver.next_request`, written out: a call a step is a tenth of the time.
                 try:
                     try:
@@ -58,11 +55,58 @@ def play(
                     failures[robot] = traceback.format_exc()
                     requests.append(None)
                     lost = (*lost, (robot, "failed"))
-            output = world.resume(Answers(requests, lost))
-        elif type(output) is KillOrder:
+            answers = Answers(requests, lost)
+            if record is not None:
+                record(answers)
+            output = resume(answers)
+        elif isinstance(output, KillOrder):
             drivers[output.robot].close()
-            output = world.resume(None)
-        elif type(output) is TagsWanted:
-            output = world.resume(())
-        else:
+            output = resume(None)
+        elif isinstance(output, End):
             return output, failures
+        else:
+            output = resume(())  # no earlier run has left anything in memory
+
+
+def run(
+    setting: Setting, run_dir: RunDir, name: str, show: Callable[[Progress], None]
+) -> dict[int, str]:
+    """Play a run with a journal, as the processes engine does.
+
+    Args:
+        setting: what is played.
+        run_dir: where; the journal is written there.
+        name: name of the run.
+        show: called now and then with how far the run is.
+
+    Returns:
+        For each robot whose algorithm failed the text of its exception.
+    """
+    scenario = setting.scenario
+    started = time.monotonic()
+    journal = Journal(run_dir.journal, scenario.durability)
+    journal.append(opening(name, "inprocess", to_tree(scenario), setting.graph, setting.starts))
+    digest = TraceDigest()
+    world = World(scenario, GraphTerrain(setting.graph), setting.starts, observe=digest)
+    next_look, next_show, waves = SHOW_WAVES, started + SHOW_S, 0
+
+    def record(answers: Answers) -> None:
+        nonlocal next_look, next_show, waves
+        journal.append(WaveRecord(answers.requests, answers.lost))
+        waves += 1
+        if waves >= next_look:
+            next_look = waves + SHOW_WAVES
+            if time.monotonic() >= next_show:
+                next_show = time.monotonic() + SHOW_S
+                show(world.progress())
+
+    if not scenario.bookkeeping.fresh:
+        journal.append(OldTags(()))
+    try:
+        end, failures = play(scenario, world, setting.algorithm, record)
+        wall_s = time.monotonic() - started
+        journal.append(Closing(end.status, digest.hexdigest(), wall_s))
+        show(world.progress())
+    finally:
+        journal.close()
+    return failures

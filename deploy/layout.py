@@ -51,7 +51,9 @@ def layout(graph: PortGraph) -> list[Position]:
         return list(graph.positions)
     placed = np.zeros((len(graph.names), 2))
     parts = [(members, _component(graph, members)) for members in _components(graph)]
-    for (members, points), corner in zip(parts, _pack([points for _, points in parts]), strict=True):
+    for (members, points), corner in zip(
+        parts, _pack([points for _, points in parts]), strict=True
+    ):
         placed[members] = points - points.min(axis=0) + corner
     return [(float(x), float(y)) for x, y in placed]
 
@@ -96,7 +98,9 @@ def _component(graph: PortGraph, members: Sequence[int]) -> Array:
     if len(members) == 1:
         return np.zeros((1, 2))
     number = {vertex: index for index, vertex in enumerate(members)}
-    adjacent = [sorted({number[v] for v in graph.far[vertex]} - {number[vertex]}) for vertex in members]
+    adjacent = [
+        sorted({number[v] for v in graph.far[vertex]} - {number[vertex]}) for vertex in members
+    ]
     depth = _hops(adjacent, 0)
     edges = sum(map(len, adjacent)) // 2
     is_tree = edges == len(adjacent) - 1

@@ -149,7 +149,7 @@ class _Sheet:
     def __init__(
         self, graph: PortGraph, title: str, subtitle: str, box: tuple[float, float, float, float]
     ) -> None:
-        from matplotlib.figure import Figure  # noqa: PLC0415  half a second
+        from matplotlib.figure import Figure
 
         self.figure = Figure(figsize=SIZE_IN, dpi=DPI)
         self._graph = graph
@@ -172,7 +172,7 @@ class _Sheet:
 
     def edges(self, edges: Sequence[int], colours: str | Sequence[str], width: float) -> None:
         """Draw edges in colours of their own, ``width`` times as wide as usual."""
-        from matplotlib.collections import LineCollection  # noqa: PLC0415  half a second
+        from matplotlib.collections import LineCollection
 
         usual_pt = min(1.5, max(0.25, 0.22 * self._diameter_pt))
         self._axes.add_collection(
@@ -215,7 +215,7 @@ class _Sheet:
 
     def losses(self, lost: Mapping[int, tuple[float, int | None, int | None]]) -> None:
         """Mark each place where robots were lost with a cross that names them."""
-        from matplotlib.patheffects import withStroke  # noqa: PLC0415  half a second
+        from matplotlib.patheffects import withStroke
 
         places: dict[tuple[float, float], list[int]] = defaultdict(list)
         for robot, (_, vertex, edge) in sorted(lost.items()):
@@ -280,7 +280,7 @@ class _Sheet:
 
     def _label(self, x: float, y: float, clear_pt: float, text: str, colour: str) -> None:
         """Write ``text`` beside a point where it covers least."""
-        from matplotlib.patheffects import withStroke  # noqa: PLC0415  half a second
+        from matplotlib.patheffects import withStroke
 
         width, height = 0.56 * LABEL_PT * len(text), 1.15 * LABEL_PT
         anchor = np.array([x, y]) * self._scale_pt
@@ -299,8 +299,8 @@ class _Sheet:
                 inside = ((marks > low - 2) & (marks < high + 2)).all(axis=1).sum()
                 outside = (low < frame[:2]).any() or (high > frame[2:]).any()
                 over = sum(
-                    low[0] < r and l < high[0] and low[1] < t and b < high[1]
-                    for l, b, r, t in self._taken
+                    low[0] < east and west < high[0] and low[1] < north and south < high[1]
+                    for west, south, east, north in self._taken
                 )
                 cost = float(inside) + 30.0 * over + 100.0 * bool(outside) + 0.1 * reach
                 if best is None or cost < best[0]:
@@ -370,8 +370,9 @@ def _legend(
     figure.text(LEGEND_X, y, "First visitor", size=10, weight="bold", color=INK)
     figure.text(0.975, y, "vertices", size=9, color="#555555", ha="right")
 
-    def entry(shape: str, fill: str, rim: str, name: str, count: int, note: str) -> None:
-        _mark(figure, LEGEND_X + 0.008, y + 0.36 * size / 72 / height_in, shape, fill, rim, size)
+    def entry(shape: str, fill: str, rim: str, *, name: str, count: int, note: str) -> None:
+        middle = y + 0.36 * size / 72 / height_in
+        _mark(figure, middle, shape, fill, rim, size=size)
         figure.text(LEGEND_X + 0.024, y, name, size=size, color=INK)
         if note:
             figure.text(LEGEND_X + 0.094, y, note, size=0.88 * size, color="#c00000")
@@ -381,7 +382,14 @@ def _legend(
         y -= row
         note = f"lost at {lost[robot][0]:g}" if robot in lost else ""
         colour = _colour(robot)
-        entry(_shape(robot), colour, colour, f"robot {robot}", counts.get(robot, 0), note)
+        entry(
+            _shape(robot),
+            colour,
+            colour,
+            name=f"robot {robot}",
+            count=counts.get(robot, 0),
+            note=note,
+        )
     if team_size > LEGEND_MOST:
         y -= row
         rest = sum(counts.get(robot, 0) for robot in range(LEGEND_MOST, team_size))
@@ -389,19 +397,17 @@ def _legend(
         figure.text(0.975, y, str(rest), size=size, color=INK, ha="right")
     if unvisited:
         y -= row
-        entry(SHAPES[0], "white", PALE, "never visited", unvisited, "")
+        entry(SHAPES[0], "white", PALE, name="never visited", count=unvisited, note="")
     return y
 
 
-def _mark(
-    figure: "Figure", x: float, y: float, shape: str, fill: str, rim: str, size: float
-) -> None:
+def _mark(figure: "Figure", y: float, shape: str, fill: str, rim: str, *, size: float) -> None:
     """Draw a vertex in the legend."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415  half a second
+    from matplotlib.lines import Line2D
 
     figure.add_artist(
         Line2D(
-            [x],
+            [LEGEND_X + 0.008],
             [y],
             marker=shape,
             markersize=0.85 * size,
@@ -414,7 +420,7 @@ def _mark(
 
 def _time_bar(figure: "Figure", top: float, last: float) -> None:
     """Draw the scale of shades under the legend, in grey as it holds for every colour."""
-    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  half a second
+    from matplotlib.colors import LinearSegmentedColormap
 
     shades = [_mix("#404040", EARLY), "#404040"]
     axes = figure.add_axes((LEGEND_X, max(0.07, top - 0.1), 0.21, 0.022))
@@ -450,7 +456,8 @@ def _nearest(points: Array) -> Array:
         apart = np.hypot(*(ordered[step:] - ordered[:-step]).T)
         nearest[step:] = np.minimum(nearest[step:], apart)
         nearest[:-step] = np.minimum(nearest[:-step], apart)
-    return nearest[np.isfinite(nearest)]
+    known: Array = nearest[np.isfinite(nearest)]
+    return known
 
 
 def _colour(robot: int) -> str:

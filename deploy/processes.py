@@ -12,6 +12,7 @@ import signal
 from collections.abc import Callable
 from typing import Any
 
+from agents.node import FAILED, NOT_JOINED
 from deploy.run_dir import RunDir
 from deploy.setting import Setting
 from deploy.supervisor import Supervisor
@@ -28,7 +29,7 @@ ROBOTS_LEAVE_S = 5.0
 
 async def play(
     setting: Setting, run_dir: RunDir, run: str, show: Callable[[Progress], None]
-) -> dict[str, int]:
+) -> tuple[dict[str, int], dict[int, str]]:
     """Play a run to its end.
 
     Args:
@@ -38,7 +39,8 @@ async def play(
         show: called now and then with how far the run is.
 
     Returns:
-        How often each piece of infrastructure had to be started again.
+        How often each piece of infrastructure had to be started again, and for each robot whose
+        process failed by itself what it wrote last.
 
     Raises:
         MachineError: If the port is taken.
@@ -71,7 +73,7 @@ async def play(
         supervisor.end_now()
         await supervisor.end()
         run_dir.remove_processes()
-    return dict(supervisor.restarts)
+    return dict(supervisor.restarts), team.failures
 
 
 async def _first(opened: "asyncio.Task[Link]", supervisor: Supervisor) -> Link:
@@ -151,7 +153,7 @@ async def _start_robot(
         f"robot:{robot}",
         ["-m", "agents.node", "--robot", str(robot), *shared],
         environment={PASSWORD: passwords[f"robot-{robot}"]},
-        ended=lambda _: team.reap(robot),
+        ended=lambda code: team.ended(robot, code),
     )
 
 
@@ -162,6 +164,7 @@ class _Team:
         self, link: Link, supervisor: Supervisor, show: Callable[[Progress], None]
     ) -> None:
         self.status: str | None = None
+        self.failures: dict[int, str] = {}
         self._supervisor = supervisor
         self._show = show
         self._reaped: set[int] = set()
@@ -173,6 +176,12 @@ class _Team:
             link.keys.world_reports,
             lambda payload: loop.call_soon_threadsafe(self._heard, payload),
         )
+
+    def ended(self, robot: int, code: int) -> None:
+        """Take in that a robot's process ended, and keep why if it was its own doing."""
+        if code in (FAILED, NOT_JOINED):
+            self.failures[robot] = self._supervisor.log_of(f"robot:{robot}")
+        self.reap(robot)
 
     def reap(self, robot: int) -> None:
         """Tell the world that a robot's process is dead."""

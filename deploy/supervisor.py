@@ -161,11 +161,14 @@ class Supervisor:
         if not self._crash_loop.done():
             self._crash_loop.set_exception(RunError(reason))
 
-    def _last_words(self, name: str) -> str:
+    def log_of(self, name: str) -> str:
+        """Return what a process wrote, stripped."""
         log = self._logs / f"{name.replace(':', '-')}.log"
-        lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.exists() else []
-        words = [line for line in lines if line.strip()]
-        return f": {words[-1].strip()}" if words else ""
+        return log.read_text(encoding="utf-8", errors="replace").strip() if log.exists() else ""
+
+    def _last_words(self, name: str) -> str:
+        words = self.log_of(name).rpartition("\n")[2].strip()
+        return f": {words}" if words else ""
 
 
 UNUSABLE = 2

@@ -22,6 +22,7 @@ from protocol.codec import decoder_of, encode
 from protocol.errors import JournalError, MessageError
 from protocol.graph import PortGraph
 from protocol.messages import SCHEMA_VERSION, AnyRequest, TagWrite
+from protocol.scenario import Scenario, from_tree
 from protocol.trace import LossCause
 
 MAGIC = b"canopy journal 1\n"
@@ -59,6 +60,10 @@ class Opening(Record, frozen=True, tag="opening"):
     def graph(self) -> PortGraph:
         """Return the graph of the run."""
         return PortGraph(self.names, self.ends, self.lengths, self.positions)
+
+    def checked_scenario(self) -> Scenario:
+        """Return the scenario of the run."""
+        return from_tree(self.scenario, f"journal of run {self.run}")
 
 
 def opening(

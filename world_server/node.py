@@ -30,7 +30,6 @@ from protocol.messages import (
     AnyStoreReply,
     AnyStoreRequest,
     BatchReply,
-    Briefing,
     Ended,
     Hello,
     HelloReply,
@@ -38,7 +37,6 @@ from protocol.messages import (
     KillOrder,
     NumberedReply,
     NumberedRequest,
-    Progress,
     ReadTags,
     ReadTagsReply,
     Reaped,
@@ -47,7 +45,7 @@ from protocol.messages import (
     Stopped,
     TagWrite,
 )
-from protocol.trace import Event, LossCause, TraceDigest
+from protocol.trace import LossCause, TraceDigest
 from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop
 from world_server import world as core
 from world_server.journal import Closing, Incarnation, Joined, Journal, OldTags, WaveRecord, scan
@@ -94,7 +92,6 @@ class WorldNode:
         self._store = WriteBehind(self._incarnation)
         self._wave_number = 1
         self._digest = TraceDigest()
-        self._visited: set[int] = set()
         recovered = self._recover(path)
         self._scenario = recovered.scenario
         self._world = recovered.world
@@ -145,7 +142,7 @@ class WorldNode:
 
         recovered = replay(
             path,
-            observe=self._observe,
+            observe=self._digest,
             on_write=self._note_write,
             on_wave=note_wave,
             on_joined=note_joined,
@@ -164,11 +161,6 @@ class WorldNode:
             if body.state == core.STOPPED:
                 seat.reply = encode(NumberedReply(body.requests, Stopped()))
         return recovered
-
-    def _observe(self, event: Event) -> None:
-        self._digest(event)
-        if event.place is not None:
-            self._visited.add(event.place)
 
     def _note_write(self, place: int, revision: int, tag: bytes) -> None:
         self._store.note(self._wave_number, place, revision, tag)
@@ -203,20 +195,7 @@ class WorldNode:
                 seat.nonce = nonce
                 self._declare(robot, seat)
                 seat.process = join.process
-        scenario = self._scenario
-        return encode(
-            Briefing(
-                robot,
-                scenario.team.robots,
-                scenario.seed,
-                scenario.algorithm,
-                scenario.algorithm_options,
-                scenario.device.capacity_bytes,
-                scenario.radio.heartbeat,
-                scenario.bookkeeping.fresh,
-                seat.nonce,
-            )
-        )
+        return encode(core.briefing(self._scenario, robot, seat.nonce))
 
     def _token_changed(self, key: str, alive: bool) -> None:
         if not alive:  # a token never seen is not a token gone
@@ -412,18 +391,7 @@ class WorldNode:
             self._send_batches()
         if time.monotonic() >= self._next_progress:
             self._next_progress = time.monotonic() + PROGRESS_S
-            self._report_progress()
-
-    def _report_progress(self) -> None:
-        bodies = self._world.bodies
-        progress = Progress(
-            self._world.time,
-            sum(body.moves for body in bodies),
-            len(self._visited),
-            self._world.alive(),
-            tuple((body.robot, body.lost_at) for body in bodies if body.lost_at is not None),
-        )
-        self._put_report(encode(progress))
+            self._put_report(encode(self._world.progress()))
 
     # The store.
 

@@ -7,7 +7,7 @@ from msgspec import Struct
 
 from protocol.errors import JournalError, ReplayError
 from protocol.messages import SCHEMA_VERSION
-from protocol.scenario import Scenario, from_tree
+from protocol.scenario import Scenario
 from protocol.trace import Event, Observer, TraceDigest
 from world_server.journal import AnyRecord, Closing, Joined, OldTags, Opening, WaveRecord, scan
 from world_server.terrain import GraphTerrain
@@ -77,7 +77,7 @@ def replay(
         ReplayError: If the journal does not fit the world, or the traces differ.
     """
     opening = read_opening(path)
-    scenario = from_tree(opening.scenario, str(path))
+    scenario = opening.checked_scenario()
     digest = TraceDigest()
 
     def both(event: Event) -> None:

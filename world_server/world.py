@@ -39,8 +39,10 @@ from protocol.codec import encode
 from protocol.errors import OpeningError, RoundsError, RuleError, TagError
 from protocol.messages import (
     AnyRequest,
+    Briefing,
     Look,
     Move,
+    Progress,
     Refusal,
     Sight,
     Stop,
@@ -157,6 +159,21 @@ class Body:
 
 
 
+def briefing(scenario: Scenario, robot: int, nonce: str = "") -> Briefing:
+    """Return what ``robot`` may know beforehand."""
+    return Briefing(
+        robot,
+        scenario.team.robots,
+        scenario.seed,
+        scenario.algorithm,
+        scenario.algorithm_options,
+        scenario.device.capacity_bytes,
+        scenario.radio.heartbeat,
+        scenario.bookkeeping.fresh,
+        nonce,
+    )
+
+
 class World:
     """One run of one scenario.
 
@@ -221,8 +238,10 @@ class World:
             for index, fault in reversed(numbered)
             if fault.at_request is not None
         }
+        self._visited = bytearray(len(terrain))
         for body in self.bodies:
             self._standing[body.place].append(body)
+            self._visited[body.place] = 1
         self._play = self._run()
 
     # Inputs and outputs.
@@ -238,6 +257,16 @@ class World:
     def alive(self) -> int:
         """Return how many robots are neither lost nor stopped."""
         return self._alive
+
+    def progress(self) -> Progress:
+        """Return how far the run is."""
+        return Progress(
+            self.time,
+            sum(body.moves for body in self.bodies),
+            len(self.tags) - self._visited.count(0),
+            self._alive,
+            tuple((b.robot, b.lost_at) for b in self.bodies if b.lost_at is not None),
+        )
 
     def waiting(self) -> list[tuple[int, int]]:
         """Return the robots that wait for news, and the place of each."""
@@ -268,6 +297,7 @@ class World:
         else:
             return False
         standing = self._standing
+        visited = self._visited
         for body in self._agenda.take(self.time):
             if body.due != self.time:
                 continue  # woken earlier, and about something else since
@@ -276,6 +306,7 @@ class World:
                 body.left_at = inf
                 body.moves += 1
                 standing[body.place].append(body)
+                visited[body.place] = 1
             elif body.state not in (WAITING, WAITING_FOR_NEWS):
                 continue
             body.state = IN_TURN

@@ -27,14 +27,12 @@ class Guarantee(Struct, frozen=True):
 
 
 class Monitor(Protocol):
-    """Judges the claims of one paper.
-
-    Attributes:
-        observe: to be called with each event; ``None`` if what the ledger counts is enough.
-    """
+    """Judges the claims of one paper."""
 
     @property
-    def observe(self) -> Observer | None: ...
+    def observe(self) -> Observer | None:
+        """What to call with each event; ``None`` if what the ledger counts is enough."""
+        ...
 
     def complete(self) -> bool:
         """Tell whether all was done that the paper asks for besides visiting every vertex."""
@@ -62,15 +60,15 @@ def covered(ledger: Ledger) -> Guarantee:
 
 
 def physics(ledger: Ledger) -> Guarantee:
-    """Judge whether the trace is one that robots of flesh and wheels could have left behind.
+    """Judge whether the trace is possible at all.
 
-    Every robot is where its moves took it, for as long as they take; one turn a round; events in the
-    order (time, round, wave, robot); nothing after a stop or a loss.
+    Every robot is where its moves took it, after as long as they take; it takes one turn a round;
+    events are in the order (time, round, wave, robot), and none follows a stop or a loss.
     """
     detail = f"{ledger.events} events, all possible"
-    if ledger.violations:
-        detail = f"{ledger.violations} of {ledger.events} events impossible; first: "
-        detail += ledger.first_violation or ""
+    if ledger.first_violation is not None:
+        detail = f"{ledger.violations} violations in {ledger.events} events; first: "
+        detail += ledger.first_violation
     return Guarantee(
         "physics",
         "Canopy, architecture: a robot cannot cheat",

@@ -412,7 +412,7 @@ def _decode_node_link(path: Path, text: str) -> _NodeLink:
     try:
         return _NODE_LINK.decode(text)
     except msgspec.ValidationError as error:
-        raise MapError(f"{path}: {_one_line(str(error))}") from None
+        raise MapError(f"{path}: found no node-link graph: {_one_line(str(error))}") from None
     except msgspec.DecodeError as error:
         # msgspec names the byte; people look for a line.
         byte = re.search(r"\(byte (\d+)\)", str(error))

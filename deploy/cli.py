@@ -1,0 +1,225 @@
+"""The command line: `canopy run | replay | map | doctor`.
+
+Exit codes: 0, the run is complete and all guarantees hold; 1, it is not; 2, a scenario, a map or the
+command line cannot be used: one line on stderr names file, field and fix.
+"""
+
+import argparse
+import asyncio
+import os
+import signal
+import sys
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from protocol.errors import CanopyError, InputError, JournalError, MachineError
+
+EXAMPLES = """\
+examples:
+  canopy run deploy/scenarios/demo.toml
+  canopy run demo.toml --set team.robots=16 --set world.map=my_cave.edges
+  canopy run demo.toml --set 'faults=[{kill="robot:3", at=40}]' --engine inprocess
+  canopy replay runs/demo-1 --until 30
+  canopy map my_cave.edges
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code."""
+    parsed = _parser().parse_args(arguments)
+    try:
+        code: int = parsed.command(parsed)
+    except InputError as error:
+        return _refuse(error)
+    except JournalError as error:
+        return _refuse(error)
+    except ModuleNotFoundError as error:
+        return _refuse(MachineError(f"the package {error.name!r} is missing; run `make setup`"))
+    except CanopyError as error:
+        print(f"canopy: {type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("canopy: interrupted; everything that ran has ended", file=sys.stderr)
+        return 128 + signal.SIGINT
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return code
+
+
+def _refuse(error: CanopyError) -> int:
+    print(f"canopy: {error}", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="canopy",
+        description="Teams of robots that explore and cover an area together, each a process.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run",
+        help="play a scenario and judge it",
+        description="Play a scenario, show how it goes, and end with a verdict.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    run.add_argument("scenario", type=Path, metavar="SCENARIO.toml", help="what to play")
+    run.add_argument(
+        "--engine",
+        choices=("inprocess", "processes"),
+        default="processes",
+        help="one thread, or one process per robot (default); both give the same trace",
+    )
+    run.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a field, such as team.robots=16; may be given often",
+    )
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the run (runs/NAME-N)")
+    run.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    run.add_argument("--no-picture", action="store_true", help="do not draw run.png")
+    run.set_defaults(command=_run)
+
+    replay = commands.add_parser(
+        "replay",
+        help="simulate a run again from its journal, and check its trace",
+        description="Simulate a finished or crashed run again, check its trace, and judge it.",
+    )
+    replay.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="folder of the run")
+    replay.add_argument("--until", type=float, metavar="T", help="stop at this virtual time")
+    replay.add_argument("--events", action="store_true", help="print each event of the trace")
+    replay.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    replay.set_defaults(command=_replay)
+
+    map_ = commands.add_parser(
+        "map",
+        help="say what a map file is, and draw it",
+        description="Read a map (.edges, GraphML, node-link JSON), describe it and draw it.",
+    )
+    map_.add_argument("file", type=Path, metavar="FILE", help="the map")
+    map_.add_argument("--json", action="store_true", help="print the facts as one JSON object")
+    map_.add_argument("--picture", type=Path, metavar="PNG", help="where to draw (NAME.png here)")
+    map_.set_defaults(command=_map)
+
+    doctor = commands.add_parser("doctor", help="check this machine, and list the algorithms")
+    doctor.set_defaults(command=_doctor)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from deploy.judged import draw, judge_journal
+    from deploy.report import Display, print_verdict
+    from deploy.run_dir import RunDir
+    from deploy.setting import prepare
+    from deploy.verdict.result import exit_code
+    from protocol.scenario import load
+
+    sys.path.insert(0, str(Path.cwd()))  # for algorithms of users
+    scenario = load(arguments.scenario, arguments.overrides)
+    setting = prepare(scenario)
+    if arguments.engine == "processes":
+        from deploy import processes
+        from protocol.zenoh_link import free_port
+
+        free_port(scenario.network.port)  # refuse before anything is made
+    run_dir = RunDir.create(arguments.out, scenario.name)
+    name = f"{run_dir.path.name}-{uuid.uuid4().hex[:12]}".replace(" ", "-")
+    places, robots = len(setting.graph.names), scenario.team.robots
+    restarts: dict[str, int] = {}
+    failures: dict[int, str] = {}
+    with Display(places, robots) as display:
+        display.say(
+            f"{scenario.name}: {scenario.algorithm}, {robots} robots, {places} vertices, "
+            f"{len(setting.graph.ends)} edges, engine {arguments.engine}"
+        )
+        for note in setting.notes:
+            display.say(f"  {note}")
+        if arguments.engine == "processes":
+            play = processes.play(setting, run_dir, name, display.show)
+            restarts, failures = asyncio.run(play)
+        else:
+            from deploy import inprocess
+
+            failures = inprocess.run(setting, run_dir, name, display.show)
+        judged = judge_journal(run_dir.journal, failures=failures, restarts=restarts)
+        run_dir.result.write_bytes(msgspec.json.format(msgspec.json.encode(judged.result)) + b"\n")
+        if not arguments.no_picture:
+            display.say("  drawing ...")
+            draw(judged, run_dir.picture)
+    if arguments.json:
+        print(msgspec.json.encode(judged.result).decode())
+    else:
+        print_verdict(judged.result)
+        picture = "" if arguments.no_picture else f", picture in {run_dir.picture}"
+        print(f"result in {run_dir.result}{picture}")
+    return exit_code(judged.result)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from deploy.judged import judge_journal
+    from deploy.report import print_verdict
+    from deploy.run_dir import RunDir
+    from deploy.verdict.result import exit_code
+    from protocol.trace import Event
+
+    def show(event: Event) -> None:
+        print(event, file=sys.stderr if arguments.json else sys.stdout)
+
+    judged = judge_journal(
+        RunDir(arguments.run_dir).journal,
+        until=arguments.until,
+        also=show if arguments.events else None,
+    )
+    if arguments.json:
+        print(msgspec.json.encode(judged.result).decode())
+    else:
+        print_verdict(judged.result)
+        if judged.replayed.closing is None:
+            print("the run was cut off before its end; this is how far its journal goes")
+        elif arguments.until is None:
+            print("the replayed trace is the recorded one")
+    if arguments.until is not None:
+        return 0
+    return exit_code(judged.result)
+
+
+def _map(arguments: argparse.Namespace) -> int:
+    from deploy.map_facts import describe, facts_of
+    from deploy.picture import draw_map
+    from world_server.maps import read_graph
+
+    graph = read_graph(arguments.file)
+    facts = facts_of(arguments.file, graph)
+    picture = arguments.picture or Path(f"{arguments.file.stem}.png")
+    try:
+        draw_map(graph, picture, arguments.file.stem, 0)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--picture {picture}: {error}") from None
+    if arguments.json:
+        print(msgspec.json.encode(facts).decode())
+    else:
+        for line in describe(facts):
+            print(line)
+        print(f"picture in {picture}")
+    return 0
+
+
+def _doctor(_: argparse.Namespace) -> int:
+    from deploy.doctor import report
+
+    return report(print)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

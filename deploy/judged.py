@@ -1,0 +1,98 @@
+"""A run judged from its folder: replayed from the journal, measured, checked and drawn."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from msgspec import Struct
+
+from deploy.verdict.ledger import Ledger
+from deploy.verdict.result import Result, judge, monitors_of, observers
+from protocol.trace import Event
+from world_server.replay import Replayed, read_opening, replay
+from world_server.world import End
+
+
+class Judged(Struct):
+    """A run and the verdict on it.
+
+    Attributes:
+        result: the verdict.
+        ledger: what was counted.
+        replayed: the run.
+    """
+
+    result: Result
+    ledger: Ledger
+    replayed: Replayed
+
+
+def judge_journal(
+    journal: Path,
+    *,
+    failures: Mapping[int, str] | None = None,
+    restarts: Mapping[str, int] | None = None,
+    until: float | None = None,
+    also: Callable[[Event], None] | None = None,
+) -> Judged:
+    """Replay a journal and judge the run by its trace alone.
+
+    Args:
+        journal: of a run that ended, or was cut off.
+        failures: for each robot whose algorithm failed the text of its exception.
+        restarts: of each infrastructure process.
+        until: judge only what happened up to this virtual time.
+        also: called with each event, besides.
+
+    Raises:
+        JournalError: If the journal is damaged.
+        ReplayError: If it does not give the trace that was recorded.
+    """
+    first = read_opening(journal)
+    scenario = first.checked_scenario()
+    ledger = Ledger(first.graph(), first.starts, scenario)
+    monitors = monitors_of(scenario, ledger)
+    observe = observers(ledger, monitors)
+    if also is not None:
+        observe.append(also)
+
+    def observe_all(event: Event) -> None:
+        for each in observe:
+            each(event)
+
+    replayed = replay(journal, observe=observe_all, until=until)
+    ended = replayed.output if isinstance(replayed.output, End) else End("stalled")
+    result = judge(
+        scenario,
+        ledger,
+        monitors,
+        status=ended.status,
+        engine=first.engine,
+        trace_sha256=replayed.trace_sha256,
+        wall_s=0.0 if replayed.closing is None else replayed.closing.wall_s,
+        refusals=replayed.world.refusals,
+        failures=failures,
+        restarts=restarts,
+    )
+    return Judged(result, ledger, replayed)
+
+
+def draw(judged: Judged, path: Path) -> None:
+    """Draw who visited what, and when."""
+    from deploy.picture import draw_run  # matplotlib is slow to import
+
+    result, ledger = judged.result, judged.ledger
+    end = "not over" if result.makespan is None else f"makespan {result.makespan:g}"
+    draw_run(
+        ledger.graph,
+        path,
+        title=f"{result.scenario}: {result.algorithm} with {result.robots} robots",
+        subtitle=(
+            f"{result.covered} of {result.to_cover} vertices, "
+            f"coverage time {result.coverage_time:g}, {end}"
+        ),
+        start=ledger.starts[0],
+        first_visits=ledger.first_visits,
+        crossings=ledger.first_crossings,
+        lost=ledger.lost,
+        team_size=result.robots,
+    )

@@ -1,0 +1,136 @@
+"""What a person sees of a run: live progress, and the verdict."""
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from deploy.verdict.result import Result
+from protocol.messages import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+PLAIN_S = 1.0
+"""Without a terminal, progress is a line now and then."""
+
+BAR = 32
+
+
+class Display:
+    """Live progress on stderr: redrawn in a terminal, a line a second elsewhere."""
+
+    def __init__(self, to_cover: int, robots: int, *, quiet: bool = False) -> None:
+        self._to_cover = to_cover
+        self._robots = robots
+        self._quiet = quiet
+        self._live: Live | None = None
+        self._lost: set[int] = set()
+        self._next_line = 0.0
+        self._started = time.monotonic()
+
+    def __enter__(self) -> Self:
+        """Begin to show."""
+        if not self._quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.live import Live
+
+            self._live = Live(console=Console(stderr=True), refresh_per_second=12, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the terminal as it was."""
+        if self._live is not None:
+            self._live.stop()
+
+    def say(self, line: str) -> None:
+        """Show a line that stays."""
+        if self._live is not None:
+            self._live.console.print(line, highlight=False)
+        elif not self._quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    def show(self, progress: Progress) -> None:
+        """Show how far the run is."""
+        for robot, at in progress.lost:
+            if robot not in self._lost:
+                self._lost.add(robot)
+                self.say(f"  t = {at:g}: robot {robot} is lost")
+        if self._live is not None:
+            self._live.update(self._drawn(progress))
+        elif not self._quiet and time.monotonic() >= self._next_line:
+            self._next_line = time.monotonic() + PLAIN_S
+            self.say("  " + self._words(progress))
+
+    def _words(self, progress: Progress) -> str:
+        return (
+            f"t = {progress.time:g}  {progress.covered}/{self._to_cover} places  "
+            f"{progress.steps} moves  {progress.alive}/{self._robots} robots under way"
+        )
+
+    def _drawn(self, progress: Progress) -> "Text":
+        from rich.text import Text
+
+        full = BAR * progress.covered // max(1, self._to_cover)
+        text = Text("  ")
+        text.append("━" * full, style="green")
+        text.append("━" * (BAR - full), style="bright_black")
+        text.append(f"  {self._words(progress)}")
+        text.append(f"  {time.monotonic() - self._started:.1f} s", style="bright_black")
+        return text
+
+
+def print_verdict(result: Result) -> None:
+    """Print the verdict on stdout."""
+    from rich.console import Console
+    from rich.table import Table
+
+    marks = {True: "[green]✓[/]", False: "[red]✗[/]", None: "[bright_black]–[/]"}
+    console = Console(highlight=False, soft_wrap=False)
+    lost = len(result.robots_lost)
+    headline = "covered" if result.complete else "NOT covered"
+    if result.status == "stalled":
+        headline += ", stalled"
+    colour = "green" if result.complete else "red"
+    console.print(
+        f"[bold {colour}]{headline}[/]: {result.covered} of {result.to_cover} places by "
+        f"{result.robots} robots, {lost or 'none'} lost"
+    )
+    facts = Table.grid(padding=(0, 2))
+    for name, value in (
+        ("coverage time", _number(result.coverage_time)),
+        ("makespan", _number(result.makespan)),
+        ("moves", str(result.steps)),
+        ("largest tag", f"{result.device_bytes_max} bytes"),
+        ("wall time", f"{result.wall_s:.2f} s, engine {result.engine}"),
+        ("trace", result.trace_sha256[:16]),
+    ):
+        facts.add_row(f"  {name}", value)
+    console.print(facts)
+    for guarantee in result.guarantees:
+        console.print(
+            f"  {marks[guarantee.holds]} {guarantee.name}  [bright_black]{guarantee.source}[/]"
+        )
+        console.print(f"      [bright_black]{guarantee.detail}[/]")
+    for robot in result.per_robot:
+        if robot.lost_at is not None:
+            console.print(f"  robot {robot.id} lost at t = {robot.lost_at:g}")
+    for waiting in result.stalled:
+        where = "on its way" if waiting.place is None else f"at {waiting.place}"
+        console.print(f"  robot {waiting.robot} still waits {where}")
+    for error in result.errors:
+        console.print(f"  [red]robot {error.robot}: {error.error}: {error.detail}[/]")
+    for fault in result.faults_not_struck:
+        console.print(f"  never struck: {fault}")
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:g}"

@@ -1,0 +1,217 @@
+"""What tests of runs share: playing a scenario, scripted robots, graphs, and judging a trace."""
+
+from collections import Counter
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from hypothesis import strategies as st
+
+from agents.body import Algorithm, Body, Driver
+from agents.registry import algorithm_of
+from deploy.inprocess import briefing_of, play
+from protocol.graph import PortGraph
+from protocol.messages import AnyRequest, Move, Sight, Stop, TagWrite
+from protocol.scenario import Scenario, from_tree
+from protocol.trace import Event, LossCause, TraceDigest
+from world_server.terrain import GraphTerrain
+from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
+
+Script = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
+
+
+# Graphs.
+
+
+def graph_of(edges: str, lengths: Iterable[float | None] | None = None) -> PortGraph:
+    """Build a graph from edges such as ``"01 02 12"`` or ``"0-1 0-10"``; vertices are numbers."""
+    ends = [tuple(map(int, edge.split("-") if "-" in edge else edge)) for edge in edges.split()]
+    vertices = max((vertex for end in ends for vertex in end), default=0) + 1
+    return PortGraph([str(v) for v in range(vertices)], [(u, v) for u, v in ends], lengths)
+
+
+def tree_of(parents: Sequence[int]) -> PortGraph:
+    """Build a tree from the parents of vertices 1, 2, ..."""
+    names = [str(v) for v in range(len(parents) + 1)]
+    return PortGraph(names, [(parent, child) for child, parent in enumerate(parents, start=1)])
+
+
+@st.composite
+def trees(draw: st.DrawFn, edges_max: int = 10) -> PortGraph:
+    """Trees whose vertex 0 is the root, edges by child."""
+    edges = draw(st.integers(0, edges_max))
+    return tree_of([draw(st.integers(0, child)) for child in range(edges)])
+
+
+@st.composite
+def graphs(draw: st.DrawFn, vertices_max: int = 7, extra_max: int = 6) -> PortGraph:
+    """Connected multigraphs with loops and parallel edges, in any order of the edges."""
+    parents = [draw(st.integers(0, child)) for child in range(draw(st.integers(0, vertices_max - 1)))]
+    vertex = st.integers(0, len(parents))
+    ends = [(parent, child) for child, parent in enumerate(parents, start=1)]
+    ends += draw(st.lists(st.tuples(vertex, vertex), max_size=extra_max))
+    ends = draw(st.permutations(ends))
+    return PortGraph([str(v) for v in range(len(parents) + 1)], ends)
+
+
+# Runs.
+
+
+class Played(NamedTuple):
+    """A run that was played to its end.
+
+    Attributes:
+        world: the world in its last state.
+        events: the trace.
+        end: how it ended.
+        failures: for each robot whose algorithm failed, the text of its exception.
+    """
+
+    world: World
+    events: list[Event]
+    end: End
+    failures: dict[int, str]
+
+    def stops(self) -> list[float | None]:
+        """Return when each robot stopped."""
+        return [body.stopped_at for body in self.world.bodies]
+
+    def survivors(self) -> list[int]:
+        """Return the robots that were not lost."""
+        return [body.robot for body in self.world.bodies if body.lost_at is None]
+
+
+def scenario_of(robots: int, **fields: Any) -> Scenario:
+    """Build a scenario of so many robots; ``fields`` are its sections as plain values."""
+    team = {"robots": robots, **fields.pop("team", {})}
+    tree = {"algorithm": "mr-dfs", "world": {"map": "none"}, "team": team, **fields}
+    return from_tree(tree, "test")
+
+
+def played(graph: PortGraph, robots: int, *, start: int = 0, **fields: Any) -> Played:
+    """Play an algorithm of the registry on the in-process engine."""
+    scenario = scenario_of(robots, **fields)
+    events: list[Event] = []
+    world = World(scenario, GraphTerrain(graph), [start] * robots, observe=events.append)
+    algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
+    end, failures = play(scenario, world, algorithm)
+    return Played(world, events, end, failures)
+
+
+def makespan(graph: PortGraph, robots: int, *, start: int = 0, **fields: Any) -> float:
+    """Play without keeping a trace; return when the last robot stopped."""
+    scenario = scenario_of(robots, **fields)
+    world = World(scenario, GraphTerrain(graph), [start] * robots)
+    end, failures = play(scenario, world, algorithm_of(scenario.algorithm, scenario.algorithm_options))
+    assert (end, failures) == (End("over"), {})
+    return max(body.stopped_at or 0.0 for body in world.bodies)
+
+
+class Conducted(NamedTuple):
+    """A run of scripted robots.
+
+    Attributes:
+        world: the world in its last state.
+        events: the trace.
+        end: how it ended.
+        outputs: every output of the world, in order.
+        writes: what `on_write` was told.
+    """
+
+    world: World
+    events: list[Event]
+    end: End
+    outputs: list[Wave | KillOrder | TagsWanted]
+    writes: list[tuple[int, int, bytes]]
+
+    def waves(self) -> list[tuple[float, int, int, list[int]]]:
+        """Return time, round, index and robots of each wave."""
+        waves = [output for output in self.outputs if isinstance(output, Wave)]
+        return [(wave.time, wave.round, wave.index, wave.robots) for wave in waves]
+
+    def lines(self) -> list[str]:
+        """Return the trace as text without the digests of the sights."""
+        return [str(event).rpartition(" sight=")[0] for event in self.events]
+
+
+def conducted(
+    graph: PortGraph,
+    scripts: Sequence[Algorithm],
+    *,
+    starts: Sequence[int] | None = None,
+    lost_in: Mapping[int, Sequence[tuple[int, LossCause]]] | None = None,
+    old_tags: Mapping[int, TagWrite] | None = None,
+    **fields: Any,
+) -> Conducted:
+    """Play one script for each robot, by a plain loop over the world's outputs.
+
+    Args:
+        graph: the place.
+        scripts: what each robot does.
+        starts: where each robot starts; by default all at 0.
+        lost_in: robots that are lost during the n-th wave of the run, counted from 0.
+        old_tags: what the store holds; asked for where ``fresh`` is false.
+        fields: sections of the scenario.
+    """
+    scenario = scenario_of(len(scripts), **fields)
+    events: list[Event] = []
+    writes: list[tuple[int, int, bytes]] = []
+    world = World(
+        scenario,
+        GraphTerrain(graph),
+        starts or [0] * len(scripts),
+        observe=events.append,
+        on_write=lambda *write: writes.append(write),
+    )
+    drivers = [
+        Driver(script, Body(briefing_of(scenario, robot))) for robot, script in enumerate(scripts)
+    ]
+    outputs: list[Wave | KillOrder | TagsWanted] = []
+    waves = 0
+    output = world.begin()
+    while not isinstance(output, End):
+        outputs.append(output)
+        if isinstance(output, Wave):
+            lost = tuple((lost_in or {}).get(waves, ()))
+            waves += 1
+            requests = [
+                drivers[robot].next_request(sight)
+                for robot, sight in zip(output.robots, output.sights, strict=True)
+            ]
+            output = world.resume(Answers(list(requests), lost))
+        elif isinstance(output, KillOrder):
+            drivers[output.robot].close()
+            output = world.resume(None)
+        else:
+            known = old_tags or {}
+            output = world.resume(tuple(known[at] for at in output.places if at in known))
+    return Conducted(world, events, output, outputs, writes)
+
+
+# Judging a trace.
+
+
+def crossings(events: Iterable[Event]) -> Counter[tuple[int, int, int]]:
+    """Count the moves that arrived, by robot, place and exit; an edge is crossed only on arrival."""
+    counts: Counter[tuple[int, int, int]] = Counter()
+    under_way: dict[int, tuple[int, int]] = {}
+    for event in events:
+        left = under_way.pop(event.robot, None)
+        if left is not None and event.place is not None:
+            counts[event.robot, *left] += 1
+        if isinstance(event.what, Move):
+            assert event.place is not None
+            under_way[event.robot] = (event.place, event.what.exit)
+    return counts
+
+
+def edges_crossed(graph: PortGraph, events: Iterable[Event]) -> set[int]:
+    """Return the edges that some robot crossed."""
+    return {graph.edge_at[place][exit_] for _, place, exit_ in crossings(events)}
+
+
+def sha256(events: Iterable[Event]) -> str:
+    """Return the digest of a trace."""
+    digest = TraceDigest()
+    for event in events:
+        digest(event)
+    return digest.hexdigest()
