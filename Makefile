@@ -60,11 +60,12 @@ test-slow: $(STAMP) ## Run the slow tests
 test-soak: $(STAMP) ## Run the soak tests (minutes to hours)
 	$(PYTEST) -m soak $(PYTEST_ARGS) || [ $$? -eq 5 ]
 
-check: $(STAMP) ## Lint, formatting, types, floors
+check: $(STAMP) ## Lint, formatting, types, floors, reference up to date
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(PYTEST) --quiet tests/test_floors.py
+	$(VENV)/bin/python docs/generate_scenario.py --check
 
 format: $(STAMP) ## Format the code and sort its imports
 	$(VENV)/bin/ruff check --select I --fix --quiet

@@ -11,6 +11,7 @@ from typing import get_args
 
 from protocol.errors import AlgorithmError
 from protocol.messages import (
+    PAYLOAD_BYTES_MAX,
     AnyRequest,
     Briefing,
     Exchange,
@@ -23,7 +24,6 @@ from protocol.messages import (
     Write,
 )
 from protocol.seeds import spawn
-
 
 Ask = Generator[AnyRequest, Sight, Sight]
 """What every method of a Body returns: to be awaited, and answered with what the robot sees next."""
@@ -55,11 +55,13 @@ class Body:
     @coroutine
     def write(self, tag: bytes, messages: tuple[bytes, ...] = ()) -> Ask:
         """Write the tag of this place and see it in the next round (free)."""
+        _check(tag, messages)
         return (yield Write(tag, messages))
 
     @coroutine
     def exchange(self, *messages: bytes) -> Ask:
         """Send messages and see what has come by the next round (free)."""
+        _check(None, messages)
         return (yield Exchange(None, messages))
 
     @coroutine
@@ -67,12 +69,17 @@ class Body:
         self, exit_: int, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
     ) -> Ask:
         """Write the tag if one is given, leave by port ``exit_`` and arrive (one move)."""
+        if exit_.__class__ is not int or not -EXIT_MAX < exit_ < EXIT_MAX:
+            raise AlgorithmError(f"move by exit {exit_!r}; expected the number of a port")
+        if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:  # type: ignore[arg-type]
+            _check(tag, messages)
         return (yield Move(tag, messages, exit_))
 
     @coroutine
     def wait(self, duration: float = 1.0, *, tag: bytes | None = None) -> Ask:
         """Stay for ``duration`` time units (that many ticks in lockstep)."""
-        return (yield Wait(tag, (), duration))
+        _check(tag, ())
+        return (yield Wait(tag, (), _time(duration)))
 
     @coroutine
     def wait_for_news(
@@ -86,14 +93,49 @@ class Body:
 
         ``at_most`` bounds the wait (time units; whole ticks in lockstep).
         """
-        return (yield WaitForNews(tag, messages, at_most))
+        _check(tag, messages)
+        return (yield WaitForNews(tag, messages, None if at_most is None else _time(at_most)))
 
     def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
         """Return what the algorithm returns to stop with a last tag or message (free).
 
         An algorithm that returns ``None`` stops without.
         """
+        _check(tag, messages)
         return Stop(tag, messages)
+
+
+EXIT_MAX = 1 << 31
+"""No vertex has more ports."""
+
+TAG_BYTES_UNCHECKED = 4096
+"""A tag of at most this size fits a message, so that a plain move needs no closer look."""
+
+
+def _check(tag: object, messages: object) -> None:
+    """Refuse here what could not travel, so that all engines refuse it alike.
+
+    Raises:
+        AlgorithmError: If the tag is no bytes or a message is none, or both are too long.
+    """
+    if tag is not None and not isinstance(tag, bytes):
+        raise AlgorithmError(f"tag {tag!r}; expected bytes")
+    if not isinstance(messages, tuple) or not all(isinstance(one, bytes) for one in messages):
+        raise AlgorithmError(f"messages {messages!r}; expected a tuple of bytes")
+    size = sum(map(len, messages)) + len(tag or b"") + 16 * len(messages)
+    if size > PAYLOAD_BYTES_MAX // 2:
+        raise AlgorithmError(f"request of {size} bytes; expected at most {PAYLOAD_BYTES_MAX // 2}")
+
+
+def _time(duration: float) -> float:
+    """Return a duration as a float.
+
+    Raises:
+        AlgorithmError: If it is no number.
+    """
+    if isinstance(duration, bool) or not isinstance(duration, int | float):
+        raise AlgorithmError(f"wait of {duration!r}; expected a number")
+    return float(duration)
 
 
 REQUEST_TYPES = frozenset(get_args(AnyRequest))

@@ -3,7 +3,7 @@
     python -m agents.node --run RUN --port PORT --robot 3 [--host HOST]
 
 Exit codes: 0 the robot stopped; 1 its algorithm failed; 2 it could not join; 3 the world had declared
-it lost; 4 the world refused a request.
+it lost; 4 the world refused a request; 5 it was told to end.
 """
 
 import argparse
@@ -14,12 +14,19 @@ import traceback
 
 from agents.body import Body, Driver
 from agents.registry import algorithm_of
-from protocol.errors import CanopyError, FencedError, JoinError, OutcomeUnknownError
+from protocol.errors import (
+    CanopyError,
+    FencedError,
+    JoinError,
+    OutcomeUnknownError,
+    RunError,
+    rule_errors,
+)
 from protocol.lifeline import tie_to_supervisor
 from protocol.messages import Refusal, Sight, Stopped
 from protocol.zenoh_link import Link, LinkConfig, RobotLine, credentials_of, run_beside_loop
 
-STOPPED, FAILED, NOT_JOINED, FENCED, REFUSED = range(5)
+STOPPED, FAILED, NOT_JOINED, FENCED, REFUSED, TOLD_TO_END = range(6)
 
 
 def live(line: RobotLine) -> int:
@@ -28,25 +35,33 @@ def live(line: RobotLine) -> int:
     Returns:
         The exit code of the process.
     """
-    briefing = line.briefing
     try:
-        driver = Driver(algorithm_of(briefing.algorithm, briefing.options), Body(briefing))
-        sight: Sight | None = None
-        while True:
-            reply = line.request(driver.next_request(sight))
-            if isinstance(reply, Stopped):
-                return STOPPED
-            if isinstance(reply, Refusal):
-                driver.close()
-                print(f"{reply.error}: {reply.detail}", file=sys.stderr)
-                return REFUSED
-            sight = reply
+        try:
+            return _play(line)
+        except (FencedError, RunError):
+            raise
+        except BaseException:  # noqa: BLE001  whatever a user's algorithm raises, SystemExit too
+            traceback.print_exc()
+            line.fail()
+            return FAILED
     except FencedError as error:
-        print(f"robot {briefing.robot}: fenced: {error}", file=sys.stderr)
+        print(f"robot {line.briefing.robot}: fenced: {error}", file=sys.stderr)
         return FENCED
-    except Exception:  # noqa: BLE001  whatever a user's algorithm raises
-        traceback.print_exc()
-        return FAILED
+
+
+def _play(line: RobotLine) -> int:
+    briefing = line.briefing
+    driver = Driver(algorithm_of(briefing.algorithm, briefing.options), Body(briefing))
+    sight: Sight | None = None
+    while True:
+        reply = line.request(driver.next_request(sight))
+        if isinstance(reply, Stopped):
+            return STOPPED
+        if isinstance(reply, Refusal):
+            driver.close()
+            print(f"{reply.error}: {reply.detail}", file=sys.stderr)
+            return REFUSED if reply.error in rule_errors() else FAILED
+        sight = reply
 
 
 async def _main(arguments: argparse.Namespace) -> int:
@@ -63,7 +78,11 @@ async def _main(arguments: argparse.Namespace) -> int:
         except (JoinError, OutcomeUnknownError) as error:
             print(f"JoinError: {error}", file=sys.stderr)
             return NOT_JOINED
-        return await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
+        try:
+            return await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
+        except RunError as error:
+            print(f"robot {arguments.robot}: {error}", file=sys.stderr)
+            return TOLD_TO_END
 
 
 def main() -> None:

@@ -83,12 +83,18 @@ def default_options(name: str) -> Struct | None:
     return None if kind is None else kind()
 
 
-def tag_bytes_max(
-    name: str, options: dict[str, OptionValue], degree: int, team_size: int
-) -> int:
+def tag_bytes_max(name: str, options: dict[str, OptionValue], degree: int, team_size: int) -> int:
     """Return the size of the largest tag that an algorithm writes at a vertex of ``degree``.
 
     0 for an algorithm of a user, whose tags we cannot know.
     """
     sizes = TAG_BYTES.get(name.lower().replace("_", "-"))
-    return 0 if sizes is None else sizes(degree, team_size, options.get("version") == "tree")
+    return 0 if sizes is None else sizes(degree, team_size, tree=options.get("version") == "tree")
+
+
+def tag_format(name: str, options: dict[str, OptionValue], team_size: int) -> str:
+    """Name the format of an algorithm's tags: only a run of the same format can read them."""
+    known = name.lower().replace("_", "-")
+    if known not in TAG_BYTES:
+        return name
+    return f"{known}, {options.get('version', 'graph')} version, {team_size} robots"

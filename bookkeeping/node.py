@@ -1,6 +1,6 @@
 """The bookkeeping service's process: one store, asked by the world server alone.
 
-    python -m bookkeeping.node DATABASE --run RUN --port PORT --capacity-bytes N [--keep-tags]
+python -m bookkeeping.node DATABASE --run RUN --port PORT --capacity-bytes N [--keep-tags]
 """
 
 import argparse
@@ -68,6 +68,7 @@ async def _main(arguments: argparse.Namespace) -> None:
         capacity_bytes=arguments.capacity_bytes,
         fresh=not arguments.keep_tags,
         durability=arguments.durability,
+        tag_format=arguments.tag_format,
     ) as store:
         config = LinkConfig(
             arguments.run, arguments.port, credentials=credentials_of("bookkeeping")
@@ -87,6 +88,7 @@ def main() -> None:
     parser.add_argument("--run", required=True, help="name of the run")
     parser.add_argument("--port", type=int, required=True, help="port of the router")
     parser.add_argument("--capacity-bytes", type=int, required=True, help="size of a tag")
+    parser.add_argument("--tag-format", default="", help="what the bytes of a tag mean")
     parser.add_argument("--keep-tags", action="store_true", help="start on an earlier run's tags")
     parser.add_argument("--durability", choices=("process", "power"), default="process")
     arguments = parser.parse_args()

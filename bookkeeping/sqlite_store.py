@@ -52,8 +52,9 @@ _SYNCHRONOUS: dict[Durability, str] = {"process": "NORMAL", "power": "FULL"}
 
 _TABLES = (
     "CREATE TABLE tag (place INTEGER PRIMARY KEY, revision INTEGER NOT NULL, tag BLOB NOT NULL)",
-    "CREATE TABLE run (name TEXT NOT NULL, incarnation INTEGER NOT NULL, wave INTEGER NOT NULL)",
-    "INSERT INTO run VALUES ('', 0, 0)",
+    "CREATE TABLE run (name TEXT NOT NULL, incarnation INTEGER NOT NULL, wave INTEGER NOT NULL,"
+    " tag_format TEXT NOT NULL)",
+    "INSERT INTO run VALUES ('', 0, 0, '')",
     f"PRAGMA application_id = {APPLICATION_ID}",
     f"PRAGMA user_version = {FILE_VERSION}",
 )
@@ -75,6 +76,21 @@ _FIXES = {
 }
 
 
+def tag_format_left(path: Path) -> str | None:
+    """Return the format of the tags in a file, without changing it; ``None`` if it is no store."""
+    try:
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=0)
+    except sqlite3.Error:
+        return None
+    try:
+        row: tuple[str] | None = database.execute("SELECT tag_format FROM run").fetchone()
+    except sqlite3.Error:
+        return None
+    finally:
+        database.close()
+    return None if row is None else row[0]
+
+
 class SqliteStore(Store):
     """The store in an SQLite file. For one thread at a time, whichever opened it."""
 
@@ -86,6 +102,7 @@ class SqliteStore(Store):
         capacity_bytes: int,
         fresh: bool,
         durability: Durability,
+        tag_format: str = "",
     ) -> None:
         """Open or create the file and enter the run, durably.
 
@@ -95,9 +112,10 @@ class SqliteStore(Store):
             capacity_bytes: capacity of each device.
             fresh: whether a new run erases the tags of the one before.
             durability: what an acknowledged batch survives.
+            tag_format: what the bytes of a tag mean: a run that keeps tags must name the same.
 
         Raises:
-            StoreError: If the file is of another kind or newer, damaged, open elsewhere or
+            StoreError: If the tags that are kept have another format, the file is of another kind or newer, damaged, open elsewhere or
                 inaccessible, if a tag in it exceeds the capacity, or if the capacity is negative or
                 the run has no name. The message names the file and a fix.
         """
@@ -116,7 +134,7 @@ class SqliteStore(Store):
             raise self._failure(error) from error
         try:
             self._open(durability)
-            self._enter(run, fresh=fresh)
+            self._enter(run, fresh=fresh, tag_format=tag_format)
         except sqlite3.Error as error:
             self._database.close()
             raise self._failure(error) from error
@@ -224,20 +242,26 @@ class SqliteStore(Store):
         if verdict != "ok":
             raise StoreError(f"{self._path}: {_FIXES['SQLITE_CORRUPT']} ({verdict})")
 
-    def _enter(self, run: str, *, fresh: bool) -> None:
+    def _enter(self, run: str, *, fresh: bool, tag_format: str) -> None:
         """Resume the run that is there, or begin a new one, in one transaction."""
         database = self._database
-        rows = database.execute("SELECT name, incarnation, wave FROM run").fetchall()
+        rows = database.execute("SELECT name, incarnation, wave, tag_format FROM run").fetchall()
         if len(rows) != 1:
             raise StoreError(f"{self._path}: {_FIXES['SQLITE_CORRUPT']} (no run in it)")
-        ((name, incarnation, wave),) = rows
+        ((name, incarnation, wave, left),) = rows
         resumed = name == run
         database.execute("BEGIN IMMEDIATE")
         if not resumed:
             incarnation = wave = 0
             if fresh:
                 database.execute("DELETE FROM tag")
-            database.execute("UPDATE run SET name = ?, incarnation = 0, wave = 0", (run,))
+            elif left != tag_format and database.execute("SELECT 1 FROM tag").fetchone():
+                raise StoreError(
+                    f"{self._path}: its tags are of format {left!r}, this run needs {tag_format!r}: "
+                    "start fresh, or with the team that left them"
+                )
+            update = "UPDATE run SET name = ?, incarnation = 0, wave = 0, tag_format = ?"
+            database.execute(update, (run, tag_format))
         longest = database.execute(
             "SELECT place, length(tag) FROM tag ORDER BY length(tag) DESC, place LIMIT 1"
         ).fetchone()

@@ -6,16 +6,21 @@ command line cannot be used: one line on stderr names file, field and fix.
 
 import argparse
 import asyncio
+import math
 import os
 import signal
 import sys
+import time
 import uuid
 from collections.abc import Sequence
+from contextlib import redirect_stdout
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 import msgspec
 
-from protocol.errors import CanopyError, InputError, JournalError, MachineError
+from protocol.errors import CanopyError, InputError, JournalError, MachineError, ScenarioError
 
 EXAMPLES = """\
 examples:
@@ -30,6 +35,10 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     parsed = _parser().parse_args(arguments)
+    if (
+        arguments is None
+    ):  # a command of its own: told to end, it ends what it started, as by Ctrl-C
+        signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         code: int = parsed.command(parsed)
     except InputError as error:
@@ -55,8 +64,15 @@ def _refuse(error: CanopyError) -> int:
     return 2
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with a command line in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"canopy: {message}; see `{self.prog} --help`\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="canopy",
         description="Teams of robots that explore and cover an area together, each a process.",
         epilog=EXAMPLES,
@@ -125,9 +141,20 @@ def _run(arguments: argparse.Namespace) -> int:
     from deploy.verdict.result import exit_code
     from protocol.scenario import load
 
+    # Refuse what is missing at the end before anything is made.
+    wanted = [
+        *([] if arguments.no_picture else ["matplotlib"]),
+        *([] if arguments.json else ["rich"]),
+    ]
+    for package in wanted:
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(name=package)
     sys.path.insert(0, str(Path.cwd()))  # for algorithms of users
     scenario = load(arguments.scenario, arguments.overrides)
-    setting = prepare(scenario)
+    try:
+        setting = prepare(scenario)
+    except ScenarioError as error:
+        raise ScenarioError(f"{arguments.scenario}: {error}") from None
     if arguments.engine == "processes":
         from deploy import processes
         from protocol.zenoh_link import free_port
@@ -138,6 +165,7 @@ def _run(arguments: argparse.Namespace) -> int:
     places, robots = len(setting.graph.names), scenario.team.robots
     restarts: dict[str, int] = {}
     failures: dict[int, str] = {}
+    started = time.monotonic()
     with Display(places, robots) as display:
         display.say(
             f"{scenario.name}: {scenario.algorithm}, {robots} robots, {places} vertices, "
@@ -151,8 +179,10 @@ def _run(arguments: argparse.Namespace) -> int:
         else:
             from deploy import inprocess
 
-            failures = inprocess.run(setting, run_dir, name, display.show)
-        judged = judge_journal(run_dir.journal, failures=failures, restarts=restarts)
+            with redirect_stdout(sys.stderr):  # what an algorithm prints is no result
+                failures = inprocess.run(setting, run_dir, name, display.show)
+        wall_s = time.monotonic() - started
+        judged = judge_journal(run_dir.journal, wall_s=wall_s, failures=failures, restarts=restarts)
         run_dir.result.write_bytes(msgspec.json.format(msgspec.json.encode(judged.result)) + b"\n")
         if not arguments.no_picture:
             display.say("  drawing ...")
@@ -176,19 +206,21 @@ def _replay(arguments: argparse.Namespace) -> int:
     def show(event: Event) -> None:
         print(event, file=sys.stderr if arguments.json else sys.stdout)
 
+    if not arguments.run_dir.is_dir():
+        raise InputError(f"{arguments.run_dir}: no such folder; expected the folder of a run")
     judged = judge_journal(
         RunDir(arguments.run_dir).journal,
-        until=arguments.until,
+        until=math.inf if arguments.until is None else arguments.until,
         also=show if arguments.events else None,
     )
     if arguments.json:
         print(msgspec.json.encode(judged.result).decode())
     else:
         print_verdict(judged.result)
-        if judged.replayed.closing is None:
-            print("the run was cut off before its end; this is how far its journal goes")
-        elif arguments.until is None:
+        if judged.result.status != "unfinished":
             print("the replayed trace is the recorded one")
+        elif arguments.until is None:
+            print("the run was cut off before its end; this is how far its journal goes")
     if arguments.until is not None:
         return 0
     return exit_code(judged.result)

@@ -3,16 +3,27 @@
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 
 from agents.body import REQUEST_TYPES, Algorithm, Body, Driver
+from bookkeeping.sqlite_store import SqliteStore
 from deploy.run_dir import RunDir
-from deploy.setting import Setting
-from protocol.messages import AnyRequest, Briefing, Progress
+from deploy.setting import Setting, tag_format_of
+from protocol.messages import AnyRequest, Batch, Progress, TagWrite
 from protocol.scenario import Scenario, to_tree
 from protocol.trace import LossCause, TraceDigest
 from world_server.journal import Closing, Journal, OldTags, WaveRecord, opening
 from world_server.terrain import GraphTerrain
-from world_server.world import Answers, End, KillOrder, Output, Wave, World, briefing
+from world_server.world import (
+    Answers,
+    End,
+    KillOrder,
+    Output,
+    TagsWanted,
+    Wave,
+    World,
+    briefing,
+)
 
 SHOW_S = 0.1
 """Progress is shown this often, looked at once in so many waves."""
@@ -23,10 +34,25 @@ Recorder = Callable[[Answers], None]
 """Called with the input to each wave before it is applied."""
 
 
+ReadTags = Callable[[tuple[int, ...]], tuple[TagWrite, ...]]
+"""Gives the tags that an earlier run left at some places."""
+
+
 def play(
-    scenario: Scenario, world: World, algorithm: Algorithm, record: Recorder | None = None
+    scenario: Scenario,
+    world: World,
+    algorithm: Algorithm,
+    record: Recorder | None = None,
+    read_tags: ReadTags | None = None,
 ) -> tuple[End, dict[int, str]]:
     """Play a run to its end.
+
+    Args:
+        scenario: what is played.
+        world: a world that has not begun.
+        algorithm: what each robot runs.
+        record: called with the input to each wave.
+        read_tags: what an earlier run left; ``None``: nothing.
 
     Returns:
         How it ended, and for each robot whose algorithm failed the text of its exception.
@@ -64,8 +90,8 @@ def play(
             output = resume(None)
         elif isinstance(output, End):
             return output, failures
-        else:
-            output = resume(())  # no earlier run has left anything in memory
+        elif isinstance(output, TagsWanted):
+            output = resume(() if read_tags is None else read_tags(output.places))
 
 
 def run(
@@ -84,10 +110,12 @@ def run(
     """
     scenario = setting.scenario
     started = time.monotonic()
-    journal = Journal(run_dir.journal, scenario.durability)
-    journal.append(opening(name, "inprocess", to_tree(scenario), setting.graph, setting.starts))
     digest = TraceDigest()
-    world = World(scenario, GraphTerrain(setting.graph), setting.starts, observe=digest)
+    written: dict[int, TagWrite] = {}
+
+    def note(place: int, revision: int, tag: bytes) -> None:
+        written[place] = TagWrite(place, revision, tag)
+
     next_look, next_show, waves = SHOW_WAVES, started + SHOW_S, 0
 
     def record(answers: Answers) -> None:
@@ -100,13 +128,41 @@ def run(
                 next_show = time.monotonic() + SHOW_S
                 show(world.progress())
 
-    if not scenario.bookkeeping.fresh:
-        journal.append(OldTags(()))
-    try:
-        end, failures = play(scenario, world, setting.algorithm, record)
-        wall_s = time.monotonic() - started
-        journal.append(Closing(end.status, digest.hexdigest(), wall_s))
+    def read(places: tuple[int, ...]) -> tuple[TagWrite, ...]:
+        assert store is not None
+        tags = store.read(places)
+        journal.append(OldTags(tags))
+        return tags
+
+    with ExitStack() as stack:
+        store = (
+            stack.enter_context(_store(setting, run_dir, name)) if _has_store(scenario) else None
+        )
+        journal = stack.enter_context(closing(Journal(run_dir.journal, scenario.durability)))
+        journal.append(opening(name, "inprocess", to_tree(scenario), setting.graph, setting.starts))
+        terrain = GraphTerrain(setting.graph)
+        world = World(scenario, terrain, setting.starts, observe=digest, on_write=note)
+        end, failures = play(scenario, world, setting.algorithm, record, read)
+        if store is not None and written:
+            store.apply(Batch(1, waves, tuple(written.values())))
+        play_s = time.monotonic() - started
+        journal.append(Closing(end.status, digest.hexdigest(), play_s))
         show(world.progress())
-    finally:
-        journal.close()
     return failures
+
+
+def _has_store(scenario: Scenario) -> bool:
+    return scenario.device.capacity_bytes > 0
+
+
+def _store(setting: Setting, run_dir: RunDir, name: str) -> SqliteStore:
+    """Open the file that the tags are left in; one thread needs no service."""
+    scenario = setting.scenario
+    return SqliteStore(
+        scenario.bookkeeping.database or run_dir.database,
+        run=name,
+        capacity_bytes=scenario.device.capacity_bytes,
+        fresh=scenario.bookkeeping.fresh,
+        durability=scenario.durability,
+        tag_format=tag_format_of(scenario),
+    )

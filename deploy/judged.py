@@ -1,6 +1,7 @@
 """A run judged from its folder: replayed from the journal, measured, checked and drawn."""
 
 from collections.abc import Callable, Mapping
+from math import inf
 from pathlib import Path
 
 from msgspec import Struct
@@ -29,15 +30,17 @@ class Judged(Struct):
 def judge_journal(
     journal: Path,
     *,
+    wall_s: float | None = None,
     failures: Mapping[int, str] | None = None,
     restarts: Mapping[str, int] | None = None,
-    until: float | None = None,
+    until: float = inf,
     also: Callable[[Event], None] | None = None,
 ) -> Judged:
     """Replay a journal and judge the run by its trace alone.
 
     Args:
         journal: of a run that ended, or was cut off.
+        wall_s: real time that the run took; default: that of its instants, as the journal says.
         failures: for each robot whose algorithm failed the text of its exception.
         restarts: of each infrastructure process.
         until: judge only what happened up to this virtual time.
@@ -60,15 +63,17 @@ def judge_journal(
             each(event)
 
     replayed = replay(journal, observe=observe_all, until=until)
-    ended = replayed.output if isinstance(replayed.output, End) else End("stalled")
+    output = replayed.output
+    play_s = 0.0 if replayed.closing is None else replayed.closing.play_s
     result = judge(
         scenario,
         ledger,
         monitors,
-        status=ended.status,
+        status=output.status if isinstance(output, End) else "unfinished",
         engine=first.engine,
         trace_sha256=replayed.trace_sha256,
-        wall_s=0.0 if replayed.closing is None else replayed.closing.wall_s,
+        wall_s=play_s if wall_s is None else wall_s,
+        play_s=play_s,
         refusals=replayed.world.refusals,
         failures=failures,
         restarts=restarts,

@@ -308,7 +308,9 @@ class _Sheet:
         assert best is not None
         cx, cy = best[1]
         self._taken.append((cx - width / 2, cy - height / 2, cx + width / 2, cy + height / 2))
-        far = math.hypot(cx - anchor[0], cy - anchor[1]) > clear_pt + 12 + width / 2
+        gap_pt = math.hypot(
+            max(abs(cx - anchor[0]) - width / 2, 0), max(abs(cy - anchor[1]) - height / 2, 0)
+        )
         self._axes.annotate(
             text,
             (x, y),
@@ -320,7 +322,9 @@ class _Sheet:
             weight="bold",
             parse_math=False,
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7} if far else None,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7}
+            if gap_pt > clear_pt + 7
+            else None,
             zorder=7,
         )
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from agents.node import FAILED, NOT_JOINED
 from deploy.run_dir import RunDir
-from deploy.setting import Setting
+from deploy.setting import Setting, tag_format_of
 from deploy.supervisor import Supervisor
 from protocol.codec import decoder_of, encode
 from protocol.errors import MessageError
@@ -130,6 +130,7 @@ async def _start(
         keep = [] if scenario.bookkeeping.fresh else ["--keep-tags"]
         capacity = ["--capacity-bytes", str(scenario.device.capacity_bytes)]
         durability = ["--durability", scenario.durability]
+        keep += ["--tag-format", tag_format_of(scenario)]
         await supervisor.start(
             "bookkeeping",
             ["-m", "bookkeeping.node", database, *shared, *capacity, *durability, *keep],

@@ -9,7 +9,6 @@ from deploy.verdict.result import Result
 from protocol.messages import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
@@ -30,6 +29,7 @@ class Display:
         self._lost: set[int] = set()
         self._next_line = 0.0
         self._started = time.monotonic()
+        self._shown = ""
 
     def __enter__(self) -> Self:
         """Begin to show."""
@@ -67,8 +67,11 @@ class Display:
         if self._live is not None:
             self._live.update(self._drawn(progress))
         elif not self._quiet and time.monotonic() >= self._next_line:
-            self._next_line = time.monotonic() + PLAIN_S
-            self.say("  " + self._words(progress))
+            words = self._words(progress)
+            if words != self._shown and progress.steps:
+                self._next_line = time.monotonic() + PLAIN_S
+                self._shown = words
+                self.say("  " + words)
 
     def _words(self, progress: Progress) -> str:
         return (
@@ -91,35 +94,32 @@ class Display:
 def print_verdict(result: Result) -> None:
     """Print the verdict on stdout."""
     from rich.console import Console
-    from rich.table import Table
 
     marks = {True: "[green]✓[/]", False: "[red]✗[/]", None: "[bright_black]–[/]"}
     console = Console(highlight=False, soft_wrap=False)
     lost = len(result.robots_lost)
-    headline = "covered" if result.complete else "NOT covered"
-    if result.status == "stalled":
+    headline, colour = ("covered", "green") if result.complete else ("NOT covered", "red")
+    if result.status == "unfinished":
+        headline, colour = "so far", "yellow"
+    elif result.status == "stalled":
         headline += ", stalled"
-    colour = "green" if result.complete else "red"
     console.print(
         f"[bold {colour}]{headline}[/]: {result.covered} of {result.to_cover} places by "
         f"{result.robots} robots, {lost or 'none'} lost"
     )
-    facts = Table.grid(padding=(0, 2))
     for name, value in (
         ("coverage time", _number(result.coverage_time)),
         ("makespan", _number(result.makespan)),
         ("moves", str(result.steps)),
         ("largest tag", f"{result.device_bytes_max} bytes"),
-        ("wall time", f"{result.wall_s:.2f} s, engine {result.engine}"),
+        ("real time", _real_time(result)),
         ("trace", result.trace_sha256[:16]),
     ):
-        facts.add_row(f"  {name}", value)
-    console.print(facts)
+        console.print(f"  {name:<14} {value}", soft_wrap=True)
     for guarantee in result.guarantees:
-        console.print(
-            f"  {marks[guarantee.holds]} {guarantee.name}  [bright_black]{guarantee.source}[/]"
-        )
-        console.print(f"      [bright_black]{guarantee.detail}[/]")
+        mark, source = marks[guarantee.holds], f"[bright_black]{guarantee.source}[/]"
+        console.print(f"  {mark} {guarantee.name}  {source}", soft_wrap=True)
+        console.print(f"      [bright_black]{guarantee.detail}[/]", soft_wrap=True)
     for robot in result.per_robot:
         if robot.lost_at is not None:
             console.print(f"  robot {robot.id} lost at t = {robot.lost_at:g}")
@@ -128,9 +128,23 @@ def print_verdict(result: Result) -> None:
         console.print(f"  robot {waiting.robot} still waits {where}")
     for error in result.errors:
         console.print(f"  [red]robot {error.robot}: {error.error}: {error.detail}[/]")
+        where = _last_place(error.traceback)
+        if where:
+            console.print(f"    {where}", soft_wrap=True)
     for fault in result.faults_not_struck:
         console.print(f"  never struck: {fault}")
 
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:g}"
+
+
+def _real_time(result: Result) -> str:
+    rate = "" if result.steps_per_s is None else f", {result.steps_per_s:.0f} moves a second"
+    return f"{result.wall_s:.2f} s{rate}, engine {result.engine}"
+
+
+def _last_place(traceback: str | None) -> str:
+    """Return the line of a traceback that says where the error was raised."""
+    places = [line.strip() for line in (traceback or "").splitlines() if line.startswith("  File")]
+    return places[-1] if places else ""

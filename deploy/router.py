@@ -1,6 +1,6 @@
 """A router as a process of its own: the death of the world server then leaves all links up.
 
-    python -m deploy.router RUN_DIR --run RUN --port PORT --robots N
+python -m deploy.router RUN_DIR --run RUN --port PORT --robots N
 """
 
 import argparse

@@ -1,11 +1,11 @@
 """The folder of a run: what is in it, and where.
 
-    journal           every input of the world; `canopy replay` needs only this
-    result.json       the verdict
-    run.png           who visited what, and when
-    bookkeeping.db    the tags as they were left
-    processes.json    while the run lasts: each process and its pid
-    logs/             what each process wrote
+journal           every input of the world; `canopy replay` needs only this
+result.json       the verdict
+run.png           who visited what, and when
+bookkeeping.db    the tags as they were left
+processes.json    while the run lasts: each process and its pid
+logs/             what each process wrote
 """
 
 import itertools

@@ -5,7 +5,8 @@ from pathlib import Path
 from msgspec import Struct
 
 from agents.body import Algorithm
-from agents.registry import algorithm_of, tag_bytes_max
+from agents.registry import algorithm_of, tag_bytes_max, tag_format
+from bookkeeping.sqlite_store import tag_format_left
 from protocol.errors import MapError, ScenarioError
 from protocol.graph import PortGraph
 from protocol.scenario import (
@@ -19,6 +20,9 @@ from protocol.scenario import (
 )
 from protocol.seeds import spawn
 from world_server.maps import generators, read_graph
+
+SQLITE = b"SQLite format 3\0"
+"""What a store's file begins with."""
 
 
 class Setting(Struct, frozen=True):
@@ -65,7 +69,13 @@ def prepare(scenario: Scenario) -> Setting:
             f"{len(graph.names)} of {len(whole.names)} vertices"
         )
     _check_devices(scenario, graph)
+    _check_database(scenario)
     return Setting(scenario, graph, starts, algorithm, tuple(notes))
+
+
+def tag_format_of(scenario: Scenario) -> str:
+    """Name the format of the tags that a run of ``scenario`` leaves."""
+    return tag_format(scenario.algorithm, scenario.algorithm_options, scenario.team.robots)
 
 
 def _place(scenario: Scenario) -> PortGraph:
@@ -130,4 +140,35 @@ def _check_devices(scenario: Scenario, graph: PortGraph) -> None:
             f"field `device.capacity_bytes`: found {scenario.device.capacity_bytes}, expected at "
             f"least {needed} for the degree {graph.degree(widest)} of vertex "
             f"{graph.names[widest]!r} and {scenario.team.robots} robots"
+        )
+
+
+def _check_database(scenario: Scenario) -> None:
+    """Refuse a file that cannot be a store before anything starts."""
+    name, fresh = scenario.bookkeeping.database, scenario.bookkeeping.fresh
+    if name is None:
+        return
+    path = Path(name)
+    found = None
+    if not path.parent.is_dir():
+        found = "a folder that does not exist"
+    elif path.is_dir():
+        found = "a folder"
+    elif not path.exists():
+        found = None if fresh else "no such file, and `bookkeeping.fresh` is false"
+    elif path.stat().st_size:
+        with path.open("rb") as file:
+            if file.read(len(SQLITE)) != SQLITE:
+                found = "another kind of file"
+    if found is None and not fresh:
+        left, needed = tag_format_left(path), tag_format_of(scenario)
+        if left != needed:
+            raise ScenarioError(
+                f"field `bookkeeping.fresh`: {name} holds tags of {left!r}, expected {needed!r}; "
+                "set it to true, or play with the team that left them"
+            )
+    if found is not None:
+        raise ScenarioError(
+            f"field `bookkeeping.database`: {name}: found {found}, expected a SQLite file"
+            + (" or a new one" if fresh else " that an earlier run left")
         )

@@ -93,9 +93,7 @@ class Supervisor:
                 if code == UNUSABLE:
                     self._fail(f"{name} cannot run{self._last_words(name)}")
                     return
-                await self.start(
-                    name, command, environment=environment, restart=True, ended=ended
-                )
+                await self.start(name, command, environment=environment, restart=True, ended=ended)
 
         task = asyncio.create_task(watch())
         self._watches.add(task)

@@ -17,11 +17,12 @@ class PortGraph:
         lengths: length of each edge; ``None`` where the file gives none.
         far: ``far[vertex][port]`` is the vertex behind that port.
         back: ``back[vertex][port]`` is the port by which one arrives there.
+        ways: ``ways[vertex][port]`` is both.
         edge_at: ``edge_at[vertex][port]`` is the number of the edge.
         positions: ``(x, y)`` of each vertex for pictures, or ``None``.
     """
 
-    __slots__ = ("back", "edge_at", "ends", "far", "lengths", "names", "positions")
+    __slots__ = ("back", "edge_at", "ends", "far", "lengths", "names", "positions", "ways")
 
     def __init__(
         self,
@@ -50,6 +51,10 @@ class PortGraph:
             edge_at[v].append(edge)
         self.far = tuple(map(tuple, far))
         self.back = tuple(map(tuple, back))
+        self.ways = tuple(
+            tuple(zip(far_of, back_of, strict=True))
+            for far_of, back_of in zip(far, back, strict=True)
+        )
         self.edge_at = tuple(map(tuple, edge_at))
 
     def degree(self, vertex: int) -> int:

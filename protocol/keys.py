@@ -1,6 +1,7 @@
 """Key expressions: built and parsed here and nowhere else.
 
     canopy/RUN/world/in/robot/3/NONCE     requests of robot 3                   robot 3 -> world
+    canopy/RUN/world/in/robot/3/NONCE/failed   its algorithm has failed         robot 3 -> world
     canopy/RUN/world/in/supervisor        what the supervisor knows             supervisor -> world
     canopy/RUN/world/in/bookkeeping       replies of the store                  bookkeeping -> world
     canopy/RUN/world/in/wake              a reminder to itself                  world -> world
@@ -20,7 +21,7 @@ from msgspec import Struct
 from protocol.errors import MessageError
 
 RUN_NAME = re.compile(r"[A-Za-z0-9_.-]+")
-_ROBOT = re.compile(r"(\d+)/([0-9a-f]+)")
+_ROBOT = re.compile(r"(\d+)/([0-9a-f]+)(/failed)?")
 
 
 class Keys(Struct, frozen=True):
@@ -45,6 +46,10 @@ class Keys(Struct, frozen=True):
     def requests(self, robot: int | str, nonce: str = "*") -> str:
         """Requests of a robot."""
         return f"{self.root}/world/in/robot/{robot}/{nonce}"
+
+    def failed(self, robot: int | str, nonce: str = "*") -> str:
+        """Word of a robot that its algorithm has failed, in place of a request."""
+        return f"{self.requests(robot, nonce)}/failed"
 
     @property
     def supervisor_reports(self) -> str:
@@ -87,7 +92,8 @@ class Keys(Struct, frozen=True):
         """Tell who sent what came on a key under `world_in`, or announced a token under `alive`.
 
         Returns:
-            ``("robot", id, nonce)``, or another kind of sender with -1 and an empty nonce.
+            ``("robot", id, nonce)``, ``("failed", id, nonce)``, or another kind of sender with -1 and
+            an empty nonce.
 
         Raises:
             MessageError: If the key is none of this run.
@@ -97,7 +103,7 @@ class Keys(Struct, frozen=True):
                 kind, _, rest = key[len(prefix) :].partition("/")
                 match = _ROBOT.fullmatch(rest)
                 if kind == "robot" and match:
-                    return kind, int(match[1]), match[2]
+                    return "failed" if match[3] else kind, int(match[1]), match[2]
                 if kind in ("supervisor", "bookkeeping", "wake") and not rest:
                     return kind, -1, ""
         raise MessageError(f"key {key!r} is none of run {self.run!r}")

@@ -19,9 +19,7 @@ PAYLOAD_BYTES_MAX = 1 << 20
 """Larger messages are refused at the door."""
 
 
-class Message(
-    Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False
-):
+class Message(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """Root of all messages; a message is never changed once built."""
 
 

@@ -5,12 +5,15 @@ field, what was found and what was expected. Times are virtual: ticks under the 
 units under the event clock. The comment behind a field is its entry in the scenario reference.
 """
 
+import re
 import tomllib
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import msgspec.inspect
 from msgspec import Meta, Struct
 
 from protocol.errors import ScenarioError
@@ -85,7 +88,9 @@ class TeamSection(Section, frozen=True, kw_only=True):
     """The robots."""
 
     robots: Count  #: Number of robots (the papers' k).
-    speed: Positive | tuple[Positive, ...] = 1.0  #: Length per time unit (event clock), or one each.
+    speed: Positive | tuple[Positive, ...] = (
+        1.0  #: Length per time unit (event clock), or one each.
+    )
 
 
 class ClockSection(Section, frozen=True, kw_only=True):
@@ -101,13 +106,15 @@ class RadioSection(Section, frozen=True, kw_only=True):
     """Who hears whom."""
 
     reach: Literal["none", "same-place", "global"] = "none"  #: Who hears a message.
-    heartbeat: Literal["global", "reach"] = "global"  #: Who gets notice of a loss.
+    heartbeat: Literal["global", "reach"] = "global"
+    #: Who gets notice of a loss: everybody, or those who would have heard the lost robot's radio.
 
 
 class SensingSection(Section, frozen=True, kw_only=True):
     """What a robot perceives."""
 
-    mode: Literal["ports"] = "ports"  #: The ports of its vertex; passages are opaque.
+    mode: Literal["ports"] = "ports"
+    #: How many ports its vertex has; where one leads it learns only by going.
 
 
 class DeviceSection(Section, frozen=True, kw_only=True):
@@ -119,7 +126,9 @@ class DeviceSection(Section, frozen=True, kw_only=True):
 class BookkeepingSection(Section, frozen=True, kw_only=True):
     """The store that outlives a run."""
 
-    database: str | None = None  #: SQLite file, relative to the scenario; default: in the run folder.
+    database: str | None = (
+        None  #: SQLite file, relative to the scenario; default: in the run folder.
+    )
     fresh: bool = True  #: Start on blank tags; false: on those that an earlier run left.
 
 
@@ -136,7 +145,8 @@ class Fault(Section, frozen=True, kw_only=True):
 
     kill: str  #: ``"robot:3"``.
     at: Annotated[float, Meta(ge=0)] | None = None  #: Virtual time at which it strikes.
-    round: Natural = 0  #: With ``at``: after how many rounds of that instant.
+    round: Natural = 0
+    #: With ``at``: after how many rounds of that instant; 0: before anybody there acts.
     at_request: Count | None = None  #: In place of the robot's n-th request.
 
     @property
@@ -152,7 +162,8 @@ class Scenario(Section, frozen=True, kw_only=True):
     algorithm: str  #: A name that ``canopy doctor`` lists, or ``package.module:function``.
     algorithm_options: dict[str, OptionValue] = {}  #: As the algorithm defines them.
     seed: int = 0  #: All randomness of the run comes from it.
-    durability: Literal["process", "power"] = "process"  #: What survives: kill -9, or power loss too.
+    durability: Literal["process", "power"] = "process"
+    #: What is acknowledged survives kill -9 of any process, or loss of power too (slower).
     world: WorldSection  #: The place.
     team: TeamSection  #: The robots.
     clock: ClockSection = ClockSection()  #: Virtual time.
@@ -186,7 +197,8 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     _anchor(tree, path.parent)
     for override in overrides:
         _override(tree, override)
-    return from_tree(tree, str(path), default_name=path.stem)
+    source = str(path) if not overrides else f"{path} with --set {' --set '.join(overrides)}"
+    return from_tree(tree, source, default_name=path.stem)
 
 
 def from_tree(tree: dict[str, Any], source: str, default_name: str = "scenario") -> Scenario:
@@ -201,7 +213,7 @@ def from_tree(tree: dict[str, Any], source: str, default_name: str = "scenario")
     try:
         scenario = msgspec.convert(tree, Scenario)
     except msgspec.ValidationError as error:
-        raise ScenarioError(f"{source}: {_in_words(str(error))}") from None
+        raise ScenarioError(f"{source}: {_in_words(str(error), tree)}") from None
     _check(scenario, source)
     return scenario
 
@@ -217,11 +229,38 @@ def _reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
-def _in_words(message: str) -> str:
-    """Rewrite a msgspec message so that it leads with the field."""
+def _in_words(message: str, tree: object) -> str:
+    """Rewrite a msgspec message so that it leads with the field and says what was found there."""
     text, _, where = message.partition(" - at `$")
-    field = where.rstrip("`").lstrip(".").replace("[...]", "[]")
-    return f"field `{field}`: {text}" if field else text
+    field = where.rstrip("`").lstrip(".")
+    found = tree
+    for name in re.findall(r"[^.\[\]]+", field):
+        if isinstance(found, dict):
+            found = found.get(name)
+        elif isinstance(found, list) and name.isdecimal():
+            found = found[int(name)]
+        else:
+            break
+    if text.startswith("Invalid"):
+        text = f"expected one of {', '.join(map(repr, _choices(field)))}"
+    text = text.replace("Expected", "expected", 1)
+    said = "" if isinstance(found, dict | list) or "..." in field else f"found {found!r}; "
+    return f"field `{field}`: {said}{text}" if field else text
+
+
+def _choices(field: str) -> list[Any]:
+    """Return what a field of the scenario may be, where that is a choice among words."""
+    known: list[Any] = [msgspec.inspect.type_info(Scenario)]
+    for name in re.findall(r"[a-z_]+", field):
+        # A tag field (`kind`) is no field of the generators themselves.
+        tags = [type_.tag for type_ in known if getattr(type_, "tag_field", None) == name]
+        if tags:
+            return tags
+        fields = [part for type_ in known for part in getattr(type_, "fields", ())]
+        known = [part.type for part in fields if part.encode_name == name]
+        known = [one for type_ in known for one in getattr(type_, "types", (type_,))]
+        known = [getattr(type_, "item_type", type_) for type_ in known]
+    return [value for type_ in known for value in getattr(type_, "values", ())]
 
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:
@@ -269,6 +308,8 @@ def _check(scenario: Scenario, source: str) -> None:
         raise refuse("world.starts", list(world.starts), f"one for each of {team.robots} robots")
     if isinstance(team.speed, tuple) and len(team.speed) != team.robots:
         raise refuse("team.speed", list(team.speed), f"one for each of {team.robots} robots")
+    if inf in (team.speed if isinstance(team.speed, tuple) else (team.speed,)):
+        raise refuse("team.speed", team.speed, "a finite speed")
     if scenario.clock.mode == "lockstep" and scenario.clock.jitter != 0:
         raise refuse("clock.jitter", scenario.clock.jitter, "0 under the lockstep clock")
     for index, fault in enumerate(scenario.faults):
@@ -279,7 +320,7 @@ def _check(scenario: Scenario, source: str) -> None:
             raise refuse(f"{field}.kill", fault.kill, expected)
         if (fault.at is None) == (fault.at_request is None):
             raise refuse(field, fault.kill, "one of `at` and `at_request`")
-        if fault.at is not None and fault.at == float("inf"):
+        if fault.at is not None and fault.at == inf:
             raise refuse(f"{field}.at", fault.at, "a finite time")
         if fault.at_request is not None and fault.round:
             raise refuse(f"{field}.round", fault.round, "no round with `at_request`")

@@ -13,7 +13,7 @@ from typing import Literal
 from msgspec import Struct
 
 from protocol.codec import encode
-from protocol.messages import AnyRequest, Move, Wait
+from protocol.messages import AnyRequest, Move, Wait, WaitForNews
 
 LossCause = Literal["killed", "refused", "failed"]
 
@@ -61,6 +61,8 @@ def describe(what: AnyRequest | str) -> str:
         words.append(f"exit={what.exit}")
     elif isinstance(what, Wait):
         words.append(f"duration={what.duration:g}")
+    elif isinstance(what, WaitForNews) and what.at_most is not None:
+        words.append(f"at_most={what.at_most:g}")
     if what.tag is not None:
         words.append(f"tag={what.tag.hex() or 'blank'}")
     if what.messages:

@@ -237,9 +237,7 @@ class Link:
         self._held.append(
             self._session.liveliness().declare_subscriber(
                 key,
-                lambda sample: changed(
-                    str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
-                ),
+                lambda sample: changed(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
                 history=True,
             )
         )
@@ -262,6 +260,7 @@ class RobotLine:
             raise JoinError(answer.detail)
         self.briefing: Briefing = answer
         nonce = answer.nonce
+        self._link = link
         self._inbox = link.inbox(link.keys.replies(robot, nonce))
         self._put = link.publisher(link.keys.requests(robot, nonce), express=True)
         self._decode = decoder_of(NumberedReply)
@@ -278,8 +277,22 @@ class RobotLine:
             FencedError: If the world has declared this robot lost.
             MessageError: If the reply is no message of this protocol.
         """
+        return self._exchange(encode(NumberedRequest(self._seq + 1, request)))
+
+    def fail(self) -> None:
+        """Tell the world that the algorithm has failed, and wait until it has taken that down.
+
+        It bears the number of the request that never came; there can be no other after it.
+
+        Raises:
+            FencedError: If the world has declared this robot lost.
+        """
+        robot, nonce = self.briefing.robot, self.briefing.nonce
+        self._put = self._link.publisher(self._link.keys.failed(robot, nonce), express=True)
+        self._exchange(encode(self._seq + 1))
+
+    def _exchange(self, payload: bytes) -> AnyReply:
         self._seq = seq = self._seq + 1
-        payload = encode(NumberedRequest(seq, request))
         self._pause_s = REPEAT_S
         self._repeat_at = time.monotonic() + REPEAT_S
         self._open = payload
@@ -326,7 +339,7 @@ async def run_beside_loop(
     link: Link,
     work: Callable[[], T],
     *,
-    every_s: float = 0.05,
+    every_s: float = 0.1,
     tick: Callable[[], None] | None = None,
 ) -> T:
     """Run blocking ``work`` in a thread beside the event loop, and close the link at the end.
@@ -359,13 +372,16 @@ async def run_beside_loop(
     def told_to_end() -> None:
         finish(None, RunError("told to end"))
 
+    def tick_again() -> None:
+        # A bare timer: with many processes on few cores a heavier one shows in the throughput.
+        if tick is not None and not done.done():
+            loop.call_later(every_s, tick_again)
+            tick()
+
     loop.add_signal_handler(signal.SIGTERM, told_to_end)
     threading.Thread(target=body, daemon=True, name="step").start()
+    loop.call_later(every_s, tick_again)
     try:
-        while not done.done():
-            await asyncio.wait([done], timeout=every_s)
-            if tick is not None and not done.done():
-                tick()
         return await done
     finally:
         link.close()
@@ -464,12 +480,14 @@ def _access_control(config: LinkConfig) -> dict[str, Any]:
         [keys.world_in, keys.join("*")],
     )
     for robot in range(config.robots):
-        own = [keys.requests(robot), keys.replies(robot), keys.join(robot)]
+        own = [keys.requests(robot), keys.failed(robot), keys.replies(robot), keys.join(robot)]
         grant(
             f"robot-{robot}",
             [
                 allow(f"robot-{robot}-own", both, own_messages, own),
-                allow(f"robot-{robot}-alive", ["ingress"], ["liveliness_token"], [keys.alive(robot)]),
+                allow(
+                    f"robot-{robot}-alive", ["ingress"], ["liveliness_token"], [keys.alive(robot)]
+                ),
                 world_listens,
             ],
         )

@@ -14,6 +14,15 @@ settings.register_profile("dev", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the flag that rewrites golden traces."""
+    parser.addoption(
+        "--rewrite-golden",
+        action="store_true",
+        help="write the golden traces anew; commit them only if you understand what changed them",
+    )
+
+
 def shared(*parts: str) -> Path:
     """Find a file or folder of the shared data, or skip the test that asks for it.
 

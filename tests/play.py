@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from agents.body import Algorithm, Body, Driver
 from agents.registry import algorithm_of
-from deploy.inprocess import briefing_of, play
+from deploy.inprocess import play
 from protocol.graph import PortGraph
 from protocol.messages import AnyRequest, Move, Sight, Stop, TagWrite
 from protocol.scenario import Scenario, from_tree
 from protocol.trace import Event, LossCause, TraceDigest
 from world_server.terrain import GraphTerrain
-from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
+from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World, briefing
 
 Script = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
 
@@ -45,7 +45,9 @@ def trees(draw: st.DrawFn, edges_max: int = 10) -> PortGraph:
 @st.composite
 def graphs(draw: st.DrawFn, vertices_max: int = 7, extra_max: int = 6) -> PortGraph:
     """Connected multigraphs with loops and parallel edges, in any order of the edges."""
-    parents = [draw(st.integers(0, child)) for child in range(draw(st.integers(0, vertices_max - 1)))]
+    parents = [
+        draw(st.integers(0, child)) for child in range(draw(st.integers(0, vertices_max - 1)))
+    ]
     vertex = st.integers(0, len(parents))
     ends = [(parent, child) for child, parent in enumerate(parents, start=1)]
     ends += draw(st.lists(st.tuples(vertex, vertex), max_size=extra_max))
@@ -56,6 +58,41 @@ def graphs(draw: st.DrawFn, vertices_max: int = 7, extra_max: int = 6) -> PortGr
 # Runs.
 
 
+class Fate:
+    """What became of one robot, by the trace alone.
+
+    Attributes:
+        place: where its body stands or stood last.
+        moves: how many of its moves arrived.
+        requests: how many requests were applied.
+        stopped_at: when it stopped.
+        lost_at: when it was lost.
+        cause: why it was lost.
+    """
+
+    def __init__(self, place: int = 0) -> None:
+        self.place = place
+        self.moves = 0
+        self.requests = 0
+        self.stopped_at: float | None = None
+        self.lost_at: float | None = None
+        self.cause: str | None = None
+        self.under_way = False
+
+    def __call__(self, event: Event) -> None:
+        """Take in the next event of this robot."""
+        if event.place is not None:
+            self.moves += self.under_way
+            self.place = event.place
+        self.under_way = isinstance(event.what, Move)
+        if isinstance(event.what, str):
+            self.lost_at, self.cause = event.time, event.what
+        else:
+            self.requests += 1
+            if isinstance(event.what, Stop):
+                self.stopped_at = event.time
+
+
 class Played(NamedTuple):
     """A run that was played to its end.
 
@@ -64,20 +101,25 @@ class Played(NamedTuple):
         events: the trace.
         end: how it ended.
         failures: for each robot whose algorithm failed, the text of its exception.
+        robots: how many there were.
     """
 
     world: World
     events: list[Event]
     end: End
     failures: dict[int, str]
+    robots: int
+
+    def fates(self) -> list[Fate]:
+        """Return what became of each robot."""
+        fates = [Fate() for _ in range(self.robots)]
+        for event in self.events:
+            fates[event.robot](event)
+        return fates
 
     def stops(self) -> list[float | None]:
         """Return when each robot stopped."""
-        return [body.stopped_at for body in self.world.bodies]
-
-    def survivors(self) -> list[int]:
-        """Return the robots that were not lost."""
-        return [body.robot for body in self.world.bodies if body.lost_at is None]
+        return [fate.stopped_at for fate in self.fates()]
 
 
 def scenario_of(robots: int, **fields: Any) -> Scenario:
@@ -94,16 +136,24 @@ def played(graph: PortGraph, robots: int, *, start: int = 0, **fields: Any) -> P
     world = World(scenario, GraphTerrain(graph), [start] * robots, observe=events.append)
     algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
     end, failures = play(scenario, world, algorithm)
-    return Played(world, events, end, failures)
+    return Played(world, events, end, failures, robots)
 
 
 def makespan(graph: PortGraph, robots: int, *, start: int = 0, **fields: Any) -> float:
     """Play without keeping a trace; return when the last robot stopped."""
+    stops: list[float] = []
+
+    def observe(event: Event) -> None:
+        if event.what.__class__ is Stop:
+            stops.append(event.time)
+
     scenario = scenario_of(robots, **fields)
-    world = World(scenario, GraphTerrain(graph), [start] * robots)
-    end, failures = play(scenario, world, algorithm_of(scenario.algorithm, scenario.algorithm_options))
-    assert (end, failures) == (End("over"), {})
-    return max(body.stopped_at or 0.0 for body in world.bodies)
+    world = World(scenario, GraphTerrain(graph), [start] * robots, observe=observe)
+    end, failures = play(
+        scenario, world, algorithm_of(scenario.algorithm, scenario.algorithm_options)
+    )
+    assert (end.status, failures, len(stops)) == ("over", {}, robots)
+    return stops[-1]
 
 
 class Conducted(NamedTuple):
@@ -163,7 +213,7 @@ def conducted(
         on_write=lambda *write: writes.append(write),
     )
     drivers = [
-        Driver(script, Body(briefing_of(scenario, robot))) for robot, script in enumerate(scripts)
+        Driver(script, Body(briefing(scenario, robot))) for robot, script in enumerate(scripts)
     ]
     outputs: list[Wave | KillOrder | TagsWanted] = []
     waves = 0
@@ -191,7 +241,7 @@ def conducted(
 
 
 def crossings(events: Iterable[Event]) -> Counter[tuple[int, int, int]]:
-    """Count the moves that arrived, by robot, place and exit; an edge is crossed only on arrival."""
+    """Count the moves that arrived, by robot, place and exit: an edge is crossed on arrival."""
     counts: Counter[tuple[int, int, int]] = Counter()
     under_way: dict[int, tuple[int, int]] = {}
     for event in events:

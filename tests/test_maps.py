@@ -318,7 +318,10 @@ def test_length_comes_before_weight_and_null_is_none() -> None:
         ),
         (
             '{"nodes":[{"id":1}],"edges":[{"source":1}]}',
-            "map.json: found no node-link graph: Object missing required field `target` - at `$.edges[0]`",
+            (
+                "map.json: found no node-link graph: Object missing required field `target` "
+                "- at `$.edges[0]`"
+            ),
         ),
         (
             '{"nodes":[{"id":1}],"edges":[{"source":1,"target":1,"length":-1}]}',

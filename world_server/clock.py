@@ -20,7 +20,13 @@ Length = Callable[[int, int], float | None]
 
 
 class Lockstep:
-    """Every move takes one tick, a wait a whole number of them (the papers' model)."""
+    """Every move takes one tick, a wait a whole number of them (the papers' model).
+
+    Attributes:
+        tick: how long each move takes; ``None`` where that depends on the move.
+    """
+
+    tick: float | None = 1.0
 
     def move_duration(self, robot: int, place: int, exit_: int) -> float:
         """Return 1.0, whatever the robot and the edge."""
@@ -43,6 +49,8 @@ class EventClock:
     A missing length, or 0, reads as 1. Asynchronous in virtual time, and exactly repeatable: each
     robot draws from a random stream of its own, once a move.
     """
+
+    tick: float | None = None
 
     def __init__(self, scenario: Scenario, length: Length) -> None:
         self._length = length
@@ -91,14 +99,13 @@ class Agenda(Generic[T]):
         self._times: list[float] = []
         self._at: dict[float, list[T]] = {}
 
-    def add(self, time: float, item: T) -> None:
-        """Let ``item`` happen at ``time``."""
+    def at(self, time: float) -> list[T]:
+        """Return the list of what happens at ``time``, to be appended to."""
         items = self._at.get(time)
         if items is None:
-            self._at[time] = [item]
+            items = self._at[time] = []
             heappush(self._times, time)
-        else:
-            items.append(item)
+        return items
 
     def next_time(self) -> float | None:
         """Return the earliest time at which something happens, or ``None``."""

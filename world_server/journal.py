@@ -102,11 +102,17 @@ class OldTags(Record, frozen=True, tag="old_tags"):
 
 
 class Closing(Record, frozen=True, tag="closing"):
-    """The last record of a run that ended."""
+    """The last record of a run that ended.
+
+    Attributes:
+        status: how it ended.
+        trace_sha256: SHA-256 of its trace.
+        play_s: real seconds from the first instant to the end, in the last life of the world.
+    """
 
     status: Literal["over", "stalled"]
     trace_sha256: str
-    wall_s: float
+    play_s: float
 
 
 AnyRecord = Opening | Incarnation | Joined | WaveRecord | OldTags | Closing

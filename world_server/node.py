@@ -106,12 +106,14 @@ class WorldNode:
         self._missing: set[int] = set()
         self._new_losses: dict[int, LossCause] = {}
         self._dead: set[int] = set()
+        self._told: dict[int, Refusal] = {}
         self._tokens: deque[tuple[str, bool]] = deque()
         self._hello: int | None = None
         self._old_tags: ReadTagsReply | None = None
         self._senders: dict[str, tuple[str, int, str]] = {}
         self._wake_pending = False
         self._decode_request = decoder_of(NumberedRequest)
+        self._decode_number = decoder_of(int)
         self._decode_join = decoder_of(Join)
         self._decode_reaped = decoder_of(Reaped)
         self._decode_store: Any = decoder_of(AnyStoreReply)  # type: ignore[arg-type]
@@ -135,7 +137,7 @@ class WorldNode:
         def note_wave(_: core.Wave, __: WaveRecord) -> None:
             nonlocal waves
             waves += 1
-            self._wave_number = waves + 1
+            self._wave_number = waves  # as when it was played: its writes are noted under it
 
         def note_joined(record: Joined) -> None:
             joined[record.robot] = record
@@ -150,9 +152,7 @@ class WorldNode:
         )
         self._wave_number = waves + 1
         self._seats = [Seat() for _ in recovered.world.bodies]
-        for robot, (seat, body) in enumerate(
-            zip(self._seats, recovered.world.bodies, strict=True)
-        ):
+        for robot, (seat, body) in enumerate(zip(self._seats, recovered.world.bodies, strict=True)):
             if robot in joined:
                 seat.process, seat.nonce = joined[robot].process, joined[robot].nonce
             seat.received = seat.answered = body.requests
@@ -224,17 +224,22 @@ class WorldNode:
         output = self._output
         while not isinstance(output, core.End):
             if isinstance(output, core.Wave):
+                opening = output.round < 0
                 output = self._serve_wave(output)
+                if opening:
+                    self._started = time.monotonic()
             elif isinstance(output, core.KillOrder):
                 output = self._carry_out(output)
             else:
                 output = self._world.resume(self._read_old_tags(output.places))
+            if self._world.refusals:
+                self._tell_refused()
         self._store.flush()
         self._send_batches()
         self._await(lambda: not self._has_store or self._store.idle, self._send_batches)
         if self._closing is None:
-            wall_s = time.monotonic() - self._started
-            self._closing = Closing(output.status, self._digest.hexdigest(), wall_s)
+            play_s = time.monotonic() - self._started
+            self._closing = Closing(output.status, self._digest.hexdigest(), play_s)
             with self._journal_lock:
                 self._journal.append(self._closing)
         ended = encode(Ended(output.status))
@@ -247,9 +252,11 @@ class WorldNode:
         seats = self._seats
         missing = self._missing
         for robot, sight in zip(wave.robots, wave.sights, strict=True):
+            if seats[robot].request is not None:
+                continue  # it came while this life of ours began: the last one sent the sight
             if sight is not None:
                 self._reply(robot, sight)
-            if seats[robot].request is None and robot not in self._new_losses:
+            if robot not in self._new_losses:
                 missing.add(robot)
         while missing:
             self._hear()
@@ -270,16 +277,25 @@ class WorldNode:
             seats[robot].request = None
             if request.__class__ is Stop and self._world.bodies[robot].state == core.STOPPED:
                 self._reply(robot, Stopped())
-            elif robot in self._world.refusals:
-                self._reply(robot, self._world.refusals[robot])
+        for robot, _ in lost:
+            if robot in self._told:
+                self._reply(robot, self._told[robot])
         if self._has_store:
             self._send_batches()
         return output
+
+    def _tell_refused(self) -> None:
+        """Tell each robot that broke a rule, in the last wave or by one round too many."""
+        for robot, refusal in self._world.refusals.items():
+            if robot not in self._told:
+                self._told[robot] = refusal
+                self._reply(robot, refusal)
 
     def _carry_out(self, order: core.KillOrder) -> core.Output:
         payload = encode(KillOrder(order.fault, order.robot))
         self._await(lambda: order.robot in self._dead, lambda: self._put_report(payload))
         self._new_losses.pop(order.robot, None)
+        self._told.pop(order.robot, None)
         self._seats[order.robot].request = None
         return self._world.resume(None)
 
@@ -325,8 +341,8 @@ class WorldNode:
             if sender is None:
                 sender = self._senders[key] = self._keys.sender(key)
             kind, robot, nonce = sender
-            if kind == "robot":
-                self._heard_robot(robot, nonce, payload)
+            if kind in ("robot", "failed"):
+                self._heard_robot(kind, robot, nonce, payload)
             elif kind == "wake":
                 self._woken()
             elif kind == "bookkeeping":
@@ -336,39 +352,51 @@ class WorldNode:
         except MessageError as error:
             print(f"ignored: {error}", file=sys.stderr)
 
-    def _heard_robot(self, robot: int, nonce: str, payload: bytes) -> None:
+    def _heard_robot(self, kind: str, robot: int, nonce: str, payload: bytes) -> None:
         if robot >= len(self._seats) or self._seats[robot].nonce != nonce:
             return  # nobody that joined speaks there
         seat = self._seats[robot]
+        if robot in self._new_losses:
+            return  # what it is told follows the commit; until then it repeats itself
+        seq, request, fault = seat.received + 1, None, ""
         try:
-            numbered = self._decode_request(payload)
-        except MessageError as error:
-            self._fail(robot, Refusal("MessageError", str(error)))
-            return
-        if numbered.seq == seat.received + 1:
-            if robot in self._dead or self._world.bodies[robot].state == core.LOST:
-                seat.received += 1
-                self._reply(robot, Refusal(FencedError.__name__, f"robot {robot} is lost"))
-            elif seat.answered == seat.received:
-                seat.received += 1
-                seat.request = numbered.request
-                self._missing.discard(robot)
+            if kind == "robot":
+                numbered = self._decode_request(payload)
+                seq, request = numbered.seq, numbered.request
             else:
-                detail = f"request {numbered.seq} before {seat.received} was answered"
-                self._fail(robot, Refusal("MessageError", detail))
-        elif numbered.seq == seat.received:
-            if self._world.bodies[robot].state == core.LOST and robot not in self._world.refusals:
-                self._reply(robot, Refusal(FencedError.__name__, f"robot {robot} is lost"))
-            elif seat.answered == seat.received and seat.put is not None and seat.reply:
+                seq = self._decode_number(payload)
+        except MessageError as error:
+            fault = str(error)
+        if robot in self._dead or self._world.bodies[robot].state == core.LOST:
+            if seq == seat.received and robot in self._told:
                 seat.put(seat.reply)
-        elif numbered.seq > seat.received:
-            detail = f"request {numbered.seq} follows {seat.received}"
-            self._fail(robot, Refusal("MessageError", detail))
+            elif seq >= seat.received:
+                seat.received = seq
+                self._reply(robot, Refusal(FencedError.__name__, f"robot {robot} is lost"))
+        elif seq <= seat.received:
+            if seq == seat.received == seat.answered and seat.put is not None and seat.reply:
+                seat.put(seat.reply)
+        elif fault:
+            self._fail(robot, seq, Refusal("MessageError", fault))
+        elif seq > seat.received + 1:
+            fault = f"request {seq} follows {seat.received}"
+            self._fail(robot, seq, Refusal("MessageError", fault))
+        elif seat.answered != seat.received:
+            fault = f"request {seq} before {seat.received} was answered"
+            self._fail(robot, seq, Refusal("MessageError", fault))
+        elif request is None:
+            self._fail(robot, seq, Refusal("AlgorithmError", "as the robot said itself"))
+        else:
+            seat.received = seq
+            seat.request = request
+            self._missing.discard(robot)
 
-    def _fail(self, robot: int, refusal: Refusal) -> None:
-        """Refuse what no robot of ours would send; it is out of the run."""
-        self._reply(robot, refusal)
-        self._heard_lost(robot, "failed")
+    def _fail(self, robot: int, seq: int, refusal: Refusal) -> None:
+        """Refuse what no sound robot would send; it is out of the run, and told so by number."""
+        if self._world.bodies[robot].state < core.STOPPED:
+            self._seats[robot].received = seq
+            self._told[robot] = refusal
+            self._heard_lost(robot, "failed")
 
     def _heard_lost(self, robot: int, cause: LossCause) -> None:
         if self._world.bodies[robot].state < core.STOPPED:

@@ -18,7 +18,9 @@ class Antenna(Protocol):
     """
 
     place: int
-    left_at: float
+
+    @property
+    def left_at(self) -> float: ...
 
 
 class NoRadio:

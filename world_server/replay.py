@@ -1,6 +1,7 @@
 """Replay: state is a pure function of the journal."""
 
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 
 from msgspec import Struct
@@ -55,7 +56,7 @@ def replay(
     path: Path,
     *,
     observe: Observer | None = None,
-    until: float | None = None,
+    until: float = inf,
     on_write: Callable[[int, int, bytes], None] | None = None,
     on_wave: Callable[[Wave, WaveRecord], None] | None = None,
     on_joined: Callable[[Joined], None] | None = None,
@@ -94,9 +95,8 @@ def replay(
             if on_joined is not None:
                 on_joined(record)
         elif isinstance(record, WaveRecord | OldTags):
-            while isinstance(output, KillOrder):  # a kill that was ordered was done
-                output = world.resume(None)
-            if until is not None and world.time > until:
+            output = _after_kills(world, output, until)
+            if world.time > until:
                 break
             if isinstance(output, Wave) and isinstance(record, WaveRecord):
                 if len(record.requests) != len(output.robots):
@@ -110,8 +110,8 @@ def replay(
                 raise _misfit(path, offset, record, output)
         elif isinstance(record, Closing):
             closing = record
-    while isinstance(output, KillOrder) and not until_asked:
-        output = world.resume(None)
+    if not until_asked:
+        output = _after_kills(world, output, until)
     found = digest.hexdigest()
     whole = closing is not None and isinstance(output, End)
     if closing is not None and whole and found != closing.trace_sha256:
@@ -119,6 +119,15 @@ def replay(
     return Replayed(opening, scenario, world, output, closing, found)
 
 
+def _after_kills(world: World, output: Output, until: float) -> Output:
+    """Carry on behind kills up to a time: one that was ordered was done."""
+    while isinstance(output, KillOrder) and world.time <= until:
+        output = world.resume(None)
+    return output
+
+
 def _misfit(path: Path, offset: int, record: AnyRecord, output: Output) -> ReplayError:
     wanted = type(output).__name__
-    return ReplayError(f"{path}: before offset {offset}: {type(record).__name__} where {wanted} fits")
+    return ReplayError(
+        f"{path}: before offset {offset}: {type(record).__name__} where {wanted} fits"
+    )

@@ -4,6 +4,8 @@ A graph with opaque passages: a robot senses how many ports its vertex has and l
 one only by going (Brass et al. 2011, Sec. I). Other terrains offer the same three methods.
 """
 
+from collections.abc import Callable
+
 from protocol.errors import ExitError
 from protocol.graph import PortGraph
 
@@ -17,16 +19,17 @@ class GraphTerrain:
 
     def __init__(self, graph: PortGraph) -> None:
         self.graph = graph
-        self._far = graph.far
-        self._back = graph.back
+        self._ways = graph.ways
+        self._degrees = list(map(len, graph.ways))
 
     def __len__(self) -> int:
         """Return the number of places."""
-        return len(self._far)
+        return len(self._ways)
 
-    def sense(self, place: int) -> int:
-        """Return what a robot senses at ``place``: the number of its ports."""
-        return len(self._far[place])
+    @property
+    def sense(self) -> Callable[[int], int]:
+        """What a robot senses at a place: the number of its ports."""
+        return self._degrees.__getitem__  # without a Python call: it is on the path of each step
 
     def leave(self, place: int, exit_: int) -> tuple[int, int]:
         """Return where ``exit_`` of ``place`` leads: the place, and the entry there.
@@ -34,10 +37,12 @@ class GraphTerrain:
         Raises:
             ExitError: If there is no such exit.
         """
-        far = self._far[place]
-        if 0 <= exit_ < len(far):
-            return far[exit_], self._back[place][exit_]
-        raise ExitError(f"exit {exit_} at a place with {len(far)} ports; expected 0 to {len(far) - 1}")
+        ways = self._ways[place]
+        if 0 <= exit_ < len(ways):
+            return ways[exit_]
+        raise ExitError(
+            f"exit {exit_} at a place with {len(ways)} ports; expected 0 to {len(ways) - 1}"
+        )
 
     def length(self, place: int, exit_: int) -> float | None:
         """Return the length of the edge behind ``exit_`` of ``place``; ``None``: not known."""

@@ -27,16 +27,17 @@ Departures from the paper, in the default ``variant = "corrected"`` (``"paper"``
   marks of a newer epoch walks home by its entries, without a mark, and joins there.
 """
 
-from collections.abc import Coroutine
 from functools import lru_cache
-from typing import Any, Literal
+from math import ceil
+from typing import Literal
 
 from msgspec import Struct
 
 from agents.body import Body
 from protocol.messages import Sight
 
-Arrival = Literal["first", "returned", "bounced"]
+Ports = dict[int, int | None]
+"""A port of each vertex that a robot remembers."""
 
 
 class Options(Struct, frozen=True, forbid_unknown_fields=True):
@@ -93,7 +94,7 @@ def pack(tag: Tag, team_size: int, *, tree: bool) -> bytes:
     return head + bits.to_bytes((size + 7) // 8, "little") + epoch
 
 
-def tag_bytes(degree: int, team_size: int, tree: bool) -> int:
+def tag_bytes(degree: int, team_size: int, *, tree: bool) -> int:
     """Return the size of a tag of epoch 0 at a vertex of ``degree``."""
     return len(pack(Tag((0,) * degree, team_size + 1), team_size, tree=tree))
 
@@ -136,7 +137,7 @@ def record(tag: Tag, port: int | None) -> Tag:
     """
     if port is None or tag.marks[port] == tag.closed:
         return tag
-    marks = tag.marks[:port] + (tag.closed,) + tag.marks[port + 1 :]
+    marks = (*tag.marks[:port], tag.closed, *tag.marks[port + 1 :])
     return Tag(marks, tag.closed, tag.entry, tag.epoch)
 
 
@@ -151,7 +152,7 @@ def choose(tag: Tag) -> int | None:
 
 def depart(tag: Tag, port: int) -> Tag:
     """Count one more robot that departed by ``port``."""
-    marks = tag.marks[:port] + (tag.marks[port] + 1,) + tag.marks[port + 1 :]
+    marks = (*tag.marks[:port], tag.marks[port] + 1, *tag.marks[port + 1 :])
     return Tag(marks, tag.closed, tag.entry, tag.epoch)
 
 
@@ -206,32 +207,6 @@ def entry_on(data: bytes, degree: int, team_size: int) -> int | None:
 # The robot.
 
 
-class Memory:
-    """What a robot remembers within one epoch.
-
-    Attributes:
-        entry: the port by which it first came to each vertex; ``None`` at the start.
-        open: the port by which it departed from each vertex and has not come back by.
-    """
-
-    __slots__ = ("entry", "open")
-
-    def __init__(self, start: int) -> None:
-        self.entry: dict[int, int | None] = {start: None}
-        self.open: dict[int, int | None] = {start: None}
-
-    def arrive(self, place: int, port: int | None) -> Arrival:
-        """Tell what the arrival at ``place`` by ``port`` is (Alg. 1 l. 2, 6, 9)."""
-        if place not in self.entry:
-            self.entry[place] = port
-            self.open[place] = None
-            return "first"
-        if self.open[place] == port:
-            self.open[place] = None
-            return "returned"
-        return "bounced"
-
-
 class RollCall:
     """Who of the team is alive, as far as one robot at the start can tell.
 
@@ -247,9 +222,9 @@ class RollCall:
         self.fresh_loss = not body.briefing.blank_tags  # marks of robots that are not here
 
     def hear(self, here: Sight) -> None:
-        """Take in who was lost."""
+        """Take in who was lost; to hear the same again changes nothing."""
+        self.fresh_loss |= not self._lost.issuperset(here.losses)
         self._lost.update(here.losses)
-        self.fresh_loss = True
 
     async def call(self, here: Sight, epoch: int) -> Sight:
         """Wait at the start for the living; return early if a newer epoch has begun there."""
@@ -272,7 +247,8 @@ class RollCall:
             elif self._hears_all:
                 here = await body.wait_for_news()
             else:
-                here = await body.wait_for_news(at_most=deadline - here.time)
+                # Whole ticks, also when a loss was heard at a fraction of one.
+                here = await body.wait_for_news(at_most=float(ceil(deadline - here.time)))
             if here.losses:
                 self.hear(here)
         return here
@@ -283,63 +259,77 @@ def epoch_on(here: Sight, epoch: int, team_size: int) -> int:
     return recorded(here.tag, here.degree, None, epoch, team_size, False)[0]
 
 
-async def go_home(body: Body, memory: Memory, here: Sight, start: int) -> Sight:
+async def go_home(body: Body, entry: Ports, here: Sight, roll: RollCall) -> Sight:
     """Walk back along the entries without a mark; from an unknown vertex by where it came from."""
-    while here.place != start:
-        exit_ = memory.entry.get(here.place, here.entry)
-        assert exit_ is not None
+    while (exit_ := entry.get(here.place, here.entry)) is not None:
         here = await body.move(exit_)
+        if here.losses:
+            roll.hear(here)
     return here
 
 
-async def mr_dfs(body: Body, options: Options) -> None:
-    """Explore, and return to the start."""
-    k = body.team_size
-    tree = options.version == "tree"
-    here = await body.look()
-    start = here.place
-    epoch = recorded(here.tag, here.degree, None, 0, k, tree)[0]
-    roll = RollCall(body)
-    memory = Memory(start)
+async def explore(
+    body: Body, here: Sight, epoch: int, version: str, roll: RollCall
+) -> tuple[Sight, int]:
+    """Play one epoch, from the start until there is nothing to do at the start.
+
+    Returns:
+        What is seen there, and the newest epoch that was met; where that is newer than ``epoch``
+        the others have begun anew without this robot.
+    """
+    k, tree, start = body.team_size, version == "tree", here.place
     port: int | None = None  # by which it arrived
+    entry: Ports = {start: None}
+    open_: Ports = {start: None}
     while True:
-        if here.losses:
-            roll.hear(here)
+        place = here.place
         found, tag = recorded(here.tag, here.degree, port, epoch, k, tree)
-        if found > epoch:  # a late comer: the others have begun anew without it
-            here = await go_home(body, memory, here, start)
-            epoch, memory, port = epoch_on(here, found, k), Memory(start), None
-            continue
-        arrival = memory.arrive(here.place, port)
+        if found > epoch:
+            return await go_home(body, entry, here, roll), found
+        first = place not in entry
+        if first:
+            entry[place] = port  # Alg. 1 l. 7
         if not here.alone:
             here = await body.write(tag)  # all record before any chooses
             if here.losses:
                 roll.hear(here)
+            if not tree and epoch_on(here, epoch, k) > epoch:
+                continue
             tag = here.tag
-        choice, after = chosen(tag, here.degree, epoch, k, tree)
-        exit_: int | None
-        if arrival == "bounced":
+        if not first and open_[place] != port:
             exit_ = port  # Alg. 1 l. 3
-        elif choice is not None:
-            memory.open[here.place] = exit_ = choice
-            tag = after
         else:
-            entry = entry_on(tag, here.degree, k) if tree else memory.entry[here.place]
-            memory.open[here.place] = exit_ = entry  # Alg. 1 l. 15, Alg. 2 l. 12
-        if exit_ is not None:
-            here = await body.move(exit_, tag=tag)
-            port = here.entry
-            continue
-        # At the start, and nothing to do.
-        if here.alone:
-            here = await body.write(tag)
-        if tree or options.variant == "paper":
+            exit_, tag = chosen(tag, here.degree, epoch, k, tree)  # l. 12-13
+            if exit_ is None:
+                exit_ = entry_on(tag, here.degree, k) if tree else entry[place]  # l. 15
+            open_[place] = exit_
+        if exit_ is None:
+            if here.alone:
+                here = await body.write(tag)  # which wakes those who wait here
+                if here.losses:
+                    roll.hear(here)
+            return here, epoch
+        here = await body.move(exit_, tag=tag)
+        if here.losses:
+            roll.hear(here)
+        port = here.entry
+
+
+async def mr_dfs(body: Body, options: Options) -> None:
+    """Explore, and return to the start."""
+    here = await body.look()
+    epoch = recorded(here.tag, here.degree, None, 0, body.team_size, options.version == "tree")[0]
+    roll = RollCall(body)
+    roll.hear(here)
+    while True:
+        here, newest = await explore(body, here, epoch, options.version, roll)
+        if options.version == "tree" or options.variant == "paper":
             return
-        here = await roll.call(here, epoch)
-        newest = epoch_on(here, epoch, k)
+        if newest == epoch:
+            here = await roll.call(here, epoch)
+        newest = epoch_on(here, newest, body.team_size)
         if newest == epoch:
             if not roll.fresh_loss:
                 return
             newest += 1
-        epoch, memory, port = newest, Memory(start), None
-        roll.fresh_loss = False
+        epoch, roll.fresh_loss = newest, False

@@ -7,7 +7,8 @@ from msgspec import Struct
 from deploy.verdict.ledger import Ledger, reachable
 from protocol.trace import Observer
 
-Status = Literal["over", "stalled"]
+Status = Literal["over", "stalled", "unfinished"]
+"""How far the run is: over, stalled, or cut off before its end (a replay up to some time)."""
 
 
 class Guarantee(Struct, frozen=True):
@@ -43,12 +44,12 @@ class Monitor(Protocol):
         ...
 
 
-def common(ledger: Ledger) -> list[Guarantee]:
+def common(ledger: Ledger, status: Status) -> list[Guarantee]:
     """Judge what every algorithm promises, and what the world promises to every algorithm."""
-    return [covered(ledger), physics(ledger)]
+    return [covered(ledger, status), rules_kept(ledger), physics(ledger)]
 
 
-def covered(ledger: Ledger) -> Guarantee:
+def covered(ledger: Ledger, status: Status) -> Guarantee:
     """Judge whether every vertex was visited."""
     found = len(ledger.first_visits)
     expected, _ = reachable(ledger.graph, ledger.starts)
@@ -56,7 +57,21 @@ def covered(ledger: Ledger) -> Guarantee:
     detail = f"{found} of {expected} vertices visited"
     if not holds and not ledger.survivors:
         holds, detail = None, f"{detail}; no robot survived"
+    elif not holds and status == "unfinished":
+        holds, detail = None, f"{detail} so far"
     return Guarantee("every vertex visited", "Canopy: what a run is for", holds, detail)
+
+
+def rules_kept(ledger: Ledger) -> Guarantee:
+    """Judge whether every robot ended as robots end: by its stop, or killed from outside."""
+    causes = {robot: loss.cause for robot, loss in ledger.losses.items() if loss.cause != "killed"}
+    detail = "no robot failed or broke a rule"
+    if causes:
+        words = {"refused": "broke a rule", "failed": "failed"}
+        detail = "; ".join(f"robot {robot} {words[cause]}" for robot, cause in causes.items())
+    return Guarantee(
+        "no robot ended by a fault of its own", "Canopy: errors are loud", not causes, detail
+    )
 
 
 def physics(ledger: Ledger) -> Guarantee:
@@ -67,7 +82,7 @@ def physics(ledger: Ledger) -> Guarantee:
     """
     detail = f"{ledger.events} events, all possible"
     if ledger.first_violation is not None:
-        detail = f"{ledger.violations} violations in {ledger.events} events; first: "
+        detail = f"{ledger.events} events, violations: {ledger.violations}, the first: "
         detail += ledger.first_violation
     return Guarantee(
         "physics",

@@ -75,7 +75,8 @@ class Result(Struct, frozen=True, kw_only=True):
         seed: the scenario's seed.
         robots: number of robots.
         robots_lost: those that were lost.
-        status: ``"over"``, or ``"stalled"``: all that were alive waited for news.
+        status: ``"over"``; ``"stalled"``: all that were alive waited for news; ``"unfinished"``: cut
+            off before its end.
         complete: the run is over, every vertex was visited, and all else that the algorithm's paper
             asks for (MR-DFS: every edge traversed) was done.
         covered: vertices visited.
@@ -95,7 +96,8 @@ class Result(Struct, frozen=True, kw_only=True):
         faults_not_struck: scheduled faults that never struck.
         durability: what survives.
         wall_s: real time that it took.
-        steps_per_s: moves per second of real time; ``None`` if that is not known.
+        steps_per_s: moves per second of real time between the first instant and the end; ``None``
+            if that is not known.
     """
 
     scenario: str
@@ -146,6 +148,7 @@ def judge(
     engine: str,
     trace_sha256: str,
     wall_s: float = 0.0,
+    play_s: float = 0.0,
     refusals: Mapping[int, Refusal] | None = None,
     failures: Mapping[int, str] | None = None,
     restarts: Mapping[str, int] | None = None,
@@ -159,7 +162,8 @@ def judge(
         status: how the run ended.
         engine: what played it.
         trace_sha256: SHA-256 of the trace.
-        wall_s: real time that it took.
+        wall_s: real time that it took, start and end included.
+        play_s: real time from the first instant to the end.
         refusals: what each robot that broke a rule was told.
         failures: for each robot whose algorithm failed the text of its traceback.
         restarts: of each infrastructure process.
@@ -185,17 +189,17 @@ def judge(
         coverage_time=ledger.coverage_time,
         makespan=ledger.makespan,
         steps=steps,
-        guarantees=[*common(ledger), *claims],
+        guarantees=[*common(ledger, status), *claims],
         trace_sha256=trace_sha256,
         restarts=dict(restarts or {}),
         device_bytes_max=ledger.device_bytes_max,
         per_robot=_robots(ledger),
         stalled=[Waiting(robot, _name(ledger, robot)) for robot in waiting],
         errors=_errors(refusals or {}, failures or {}),
-        faults_not_struck=_not_struck(scenario.faults, ledger),
+        faults_not_struck=[] if status == "unfinished" else _not_struck(scenario.faults, ledger),
         durability=scenario.durability,
         wall_s=wall_s,
-        steps_per_s=steps / wall_s if wall_s > 0 else None,
+        steps_per_s=steps / play_s if play_s > 0 else None,
     )
 
 
