@@ -18,8 +18,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
-import msgspec
-
 from protocol.errors import CanopyError, InputError, JournalError, MachineError, ScenarioError
 
 EXAMPLES = """\
@@ -134,6 +132,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    import msgspec  # here as everywhere below, so that `main` can name a package that is missing
+
     from deploy.judged import draw, judge_journal
     from deploy.report import Display, print_verdict
     from deploy.run_dir import RunDir
@@ -197,6 +197,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
+    import msgspec
+
     from deploy.judged import judge_journal
     from deploy.report import print_verdict
     from deploy.run_dir import RunDir
@@ -227,6 +229,8 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _map(arguments: argparse.Namespace) -> int:
+    import msgspec
+
     from deploy.map_facts import describe, facts_of
     from deploy.picture import draw_map
     from world_server.maps import read_graph

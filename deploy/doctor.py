@@ -6,14 +6,22 @@ import shutil
 import sys
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 
 from msgspec import Struct
 
 from agents.registry import ALGORITHMS
 from protocol.errors import CanopyError
-from protocol.zenoh_link import Link, LinkConfig, free_port
 
-PACKAGES = ("eclipse-zenoh", "msgspec", "numpy", "networkx", "matplotlib", "rich")
+PACKAGES = {
+    "eclipse-zenoh": "zenoh",
+    "msgspec": "msgspec",
+    "numpy": "numpy",
+    "networkx": "networkx",
+    "matplotlib": "matplotlib",
+    "rich": "rich",
+}
+"""Each package, and what it is imported as."""
 
 
 class Check(Struct, frozen=True):
@@ -42,20 +50,24 @@ def _python() -> Check:
 
 def _package(name: str) -> Check:
     try:
-        return Check(name, True, version(name))
-    except PackageNotFoundError:
-        return Check(name, False, "missing; run `make setup`")
+        if find_spec(PACKAGES[name]) is not None:
+            return Check(name, True, version(name))
+    except (PackageNotFoundError, ModuleNotFoundError):
+        pass
+    return Check(name, False, "missing; run `make setup`")
 
 
 def _router() -> Check:
     """Open a router on loopback and have a client ask it something."""
     try:
+        from protocol.zenoh_link import Link, LinkConfig, free_port
+
         port = free_port()
         with Link(LinkConfig("doctor", port, "router")) as router:
             router.answer(router.keys.join("*"), lambda _, payload: payload)
             with Link(LinkConfig("doctor", port)) as client:
                 client.ask(client.keys.join(0), b"hello", timeout_s=5)
-    except CanopyError as error:
+    except (CanopyError, ModuleNotFoundError) as error:
         return Check("zenoh on loopback", False, str(error))
     return Check("zenoh on loopback", True, "a router and a client talk")
 

@@ -70,7 +70,7 @@ class Supervisor:
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=True,  # Ctrl-C reaches the supervisor alone
+                process_group=0,  # Ctrl-C reaches the supervisor alone
                 env={**os.environ, **(environment or {}), PARENT: str(os.getpid())},
             )
         self._processes[name] = process

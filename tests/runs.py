@@ -1,4 +1,4 @@
-"""What tests of whole runs share: both engines, the command line, and what a run may leave behind."""
+"""What tests of whole runs share: both engines, the command line, and what a run leaves behind."""
 
 import asyncio
 import contextlib
@@ -21,6 +21,7 @@ from deploy.setting import Setting
 from protocol.graph import PortGraph
 from protocol.scenario import from_tree
 from world_server.journal import Closing, WaveRecord, scan
+from world_server.replay import replay
 
 CANOPY = Path(sys.executable).with_name("canopy")
 
@@ -73,8 +74,6 @@ def play(setting: Setting, folder: Path, engine: str) -> Run:
 
 def requests_of(run: Run) -> list[int]:
     """Return how many requests each robot made."""
-    from world_server.replay import replay
-
     return [body.requests for body in replay(run.folder.journal).world.bodies]
 
 
@@ -215,7 +214,7 @@ def until(
 
 
 def lives(pid: int) -> bool:
-    """Tell whether a process runs or is frozen; a zombie has ended, and waits for its parent only."""
+    """Tell whether a process runs or is frozen; a zombie has ended, and waits for its parent."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except (FileNotFoundError, ProcessLookupError):
@@ -231,14 +230,14 @@ def processes_that_mention(text: str) -> dict[int, str]:
             continue
         with contextlib.suppress(OSError):
             command = (entry / "cmdline").read_bytes()
-            if text.encode() in command + (entry / "environ").read_bytes():
-                if lives(int(entry.name)):
-                    found[int(entry.name)] = command.replace(b"\0", b" ").decode()
+            mentions = text.encode() in command + (entry / "environ").read_bytes()
+            if mentions and lives(int(entry.name)):
+                found[int(entry.name)] = command.replace(b"\0", b" ").decode()
     return found
 
 
 def ends(pids: Mapping[str, int]) -> None:
-    """Wait until none of these processes is left; whoever started them need not have reaped them."""
+    """Wait until none of these processes is left; nobody need have reaped them."""
     until(lambda: not any(map(lives, pids.values())), f"end of {dict(pids)}", timeout_s=15)
 
 
@@ -250,7 +249,7 @@ class Watch:
     """
 
     OURS = ("zenoh", "canopy", "matplotlib", "test-")
-    SHARED = (Path("/dev/shm"), Path("/tmp"))  # noqa: S108  looked at, never written
+    SHARED = (Path("/dev/shm"), Path("/tmp"))  # looked at, never written
 
     def __init__(self, folder: Path) -> None:
         self.mark = f"watched-{uuid.uuid4().hex}"

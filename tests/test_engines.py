@@ -63,7 +63,7 @@ def random_settings(draw: st.DrawFn) -> Setting:
     robots = draw(st.integers(1, 6))
     fields: dict[str, Any] = {"seed": draw(st.integers(0, 99)), "faults": draw(faults(robots))}
     if draw(st.booleans()):
-        jitter: float | str = draw(st.sampled_from([0.0, 0.05, 0.5, "exponential"]))
+        jitter = draw(st.sampled_from([0.0, 0.05, 0.5, "exponential"]))
         fields["clock"] = {"mode": "event", "jitter": jitter}
         length = st.sampled_from([None, 0.0, 0.5, 1.0, 1.1, 7.3])
         edges = len(graph.ends)
@@ -116,14 +116,18 @@ def test_a_separate_router_and_flushing_change_no_trace(tmp_path: Path):
 
 
 def test_places_without_devices_have_one_trace(tmp_path: Path):
-    fields = {"algorithm": "tests.robots:wanderer", "device": {"capacity_bytes": 0}, "seed": 5}
+    fields: dict[str, Any] = {
+        "algorithm": "tests.robots:wanderer",
+        "device": {"capacity_bytes": 0},
+        "seed": 5,
+    }
     run = same_on_both(setting_of(SMALL, 4, **fields), tmp_path)
     assert not run.folder.database.exists()
 
 
 def test_radio_waiting_and_starts_of_their_own_have_one_trace(tmp_path: Path):
     for reach in ("none", "same-place", "global"):
-        fields = {
+        fields: dict[str, Any] = {
             "algorithm": "tests.robots:talker",
             "radio": {"reach": reach},
             "faults": [{"kill": "robot:1", "at": 3}],

@@ -9,6 +9,7 @@ import pytest
 from deploy.judged import judge_journal
 from deploy.verdict.result import exit_code
 from protocol.trace import Event
+from protocol.zenoh_link import free_port
 from tests.play import graph_of
 from tests.runs import (
     Watch,
@@ -184,6 +185,7 @@ def test_a_frozen_robot_is_lost_after_the_patience_and_fenced_when_it_wakes(tmp_
     watch.nothing_left()
 
 
+@pytest.mark.slow
 def test_a_robot_that_stays_frozen_does_not_outlive_the_run(tmp_path: Path):
     scenario = cave_of(tmp_path, robots=3, patience_s=1.5)
     watch = Watch(tmp_path)
@@ -218,10 +220,10 @@ def losses(folder: Path) -> set[int]:
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("router", ["embedded", "separate"])
+@pytest.mark.parametrize("router", ["embedded", pytest.param("separate", marks=pytest.mark.slow)])
 def test_nothing_outlives_the_supervisor(sign: signal.Signals, router: str, tmp_path: Path):
     """Those whom nobody is left to reap may stay zombies, if our init is a lazy one."""
-    port = port_for_the_run()
+    port = free_port()
     watch = Watch(tmp_path)
     scenario = cave_of(tmp_path, robots=3, vertices=3000)
     with started_cli(
@@ -270,12 +272,6 @@ def test_frozen_processes_do_not_outlive_a_killed_supervisor(tmp_path: Path):
         run.finish()
     ends(pids)
     watch.nothing_left()
-
-
-def port_for_the_run() -> int:
-    from protocol.zenoh_link import free_port
-
-    return free_port()
 
 
 # Infrastructure.

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agents.registry import algorithm_of
 from deploy.inprocess import play
-from deploy.verdict.guarantees import Guarantee, Status
+from deploy.verdict.guarantees import Guarantee, Status, rules_kept
 from deploy.verdict.ledger import Ledger, reachable
 from deploy.verdict.result import Result, exit_code, judge, monitors_of, observers
 from protocol.graph import PortGraph
@@ -141,6 +141,7 @@ LOWER = "T >= max(e/k, 2r), on trees max(2e/k, 2r)"
 LOSSES = "succeeds while one robot is left"
 COVERED = "every vertex visited"
 PHYSICS = "physics"
+RULES = "no robot ended by a fault of its own"
 UNCOVERED = {COVERED, EDGES}
 
 
@@ -447,7 +448,7 @@ def test_nothing_is_broken_without_losses(
     assert broken(result) == set(), result.guarantees
     assert exit_code(result) == 0
     claims = by_source(result)
-    judged = [COVERED, PHYSICS, EDGES, HOME, LEMMA_1, THEOREM_1]
+    judged = [COVERED, RULES, PHYSICS, EDGES, HOME, LEMMA_1, THEOREM_1]
     if graph.is_tree():
         judged.append(EXCESS)
     if clock["mode"] == "lockstep":
@@ -780,7 +781,7 @@ def test_errors_are_told_apart() -> None:
 def test_algorithms_of_users_have_the_common_guarantees() -> None:
     scenario = scenario_of(1, algorithm="their_package.module:function")
     result = verdict(PATH, walks(PATH, 0, (0, 1)), [0], scenario)
-    assert [guarantee.name for guarantee in result.guarantees] == [COVERED, PHYSICS]
+    assert [guarantee.name for guarantee in result.guarantees] == [COVERED, RULES, PHYSICS]
     assert exit_code(result) == 0
 
 
@@ -854,3 +855,13 @@ def test_counts_are_sums() -> None:
     assert sum(sum(track.uses.values()) for track in ledger.robots) == result.steps
     assert max(time for _, time in ledger.first_visits.values()) == result.coverage_time
     assert all(0 <= dart < offsets[-1] for track in ledger.robots for dart in track.uses)
+
+
+@pytest.mark.parametrize(
+    ("cause", "holds"), [("killed", True), ("refused", False), ("failed", False)]
+)
+def test_a_robot_that_ends_by_its_own_fault_breaks_a_guarantee(cause: str, holds: bool) -> None:
+    lost = Event(0.0, 0, 0, 1, 0, None, cause, 0)
+    ledger = Ledger(PATH, [0, 0])
+    ledger.observe(lost)
+    assert rules_kept(ledger).holds is holds

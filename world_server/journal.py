@@ -132,6 +132,7 @@ class Journal:
         if size:
             for _, end in scan(path):
                 pass
+        self._path = path
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._flush = durability == "power"
         os.ftruncate(self._descriptor, end)
@@ -143,7 +144,10 @@ class Journal:
         """Write one record; when this returns it is as durable as was asked for."""
         body = encode(record)
         sums = _SUMS.pack(len(body), crc32(body))
-        os.write(self._descriptor, sums + crc32(sums).to_bytes(4, "little") + body)
+        record_bytes = sums + crc32(sums).to_bytes(4, "little") + body
+        if os.write(self._descriptor, record_bytes) != len(record_bytes):
+            # Nothing may follow half a record: as it is the last, a reader drops it.
+            raise JournalError(f"{self._path}: the disk took half a record; is it full?")
         if self._flush:
             os.fdatasync(self._descriptor)
 

@@ -52,156 +52,167 @@ class Options(Struct, frozen=True, forbid_unknown_fields=True):
     version: Literal["graph", "tree"] = "graph"
 
 
+class Layout:
+    """How the marks of one vertex lie in the bytes of its device.
+
+    Attributes:
+        degree: number of ports.
+        team_size: number of robots (the paper's k).
+        width: bits of a mark, ceil(log2(k + 2)): it is one of 0..k departures, or closed.
+        closed: the mark of a closed port, all bits set.
+        tree: whether the entry of the first robot is stored as well (Algorithm 2).
+        head: the bytes that tell the degree, 1 of them (5 from 255 on).
+        size: bytes of a tag in epoch 0: head, marks and entry.
+    """
+
+    __slots__ = ("closed", "degree", "head", "size", "team_size", "tree", "width")
+
+    def __init__(self, degree: int, team_size: int, *, tree: bool) -> None:
+        self.degree = degree
+        self.team_size = team_size
+        self.tree = tree
+        self.width = (team_size + 1).bit_length()
+        self.closed = (1 << self.width) - 1
+        self.head = bytes((degree,)) if degree < 255 else b"\xff" + degree.to_bytes(4, "little")
+        bits = degree * self.width + (degree.bit_length() if tree else 0)
+        self.size = len(self.head) + (bits + 7) // 8
+
+
+@lru_cache(maxsize=1024)
+def layout_of(degree: int, team_size: int, tree: bool) -> Layout:  # noqa: FBT001  a cache key
+    """Return the layout of a tag; the same object for the same values."""
+    return Layout(degree, team_size, tree=tree)
+
+
 class Tag(Struct, frozen=True, gc=False):
     """What the device of one vertex holds.
 
     Attributes:
-        marks: one for each port: how many robots departed by it, or `closed`.
-        closed: the mark of a closed port, team_size + 1.
+        marks: the marks of all ports in one integer, port 0 in the lowest bits.
         entry: the port by which the first robot came, tree version only; ``None`` at the start.
         epoch: number of the epoch these marks belong to.
     """
 
-    marks: tuple[int, ...]
-    closed: int
+    marks: int = 0
     entry: int | None = None
     epoch: int = 0
 
 
-def bits_per_port(team_size: int) -> int:
-    """Return ceil(log2(k + 2)): a mark is one of 0..k departures, or closed."""
-    return (team_size + 1).bit_length()
+BLANK = Tag()
 
 
-def pack(tag: Tag, team_size: int, *, tree: bool) -> bytes:
-    """Encode a tag: degree, marks, in the tree version the entry, and the epoch unless it is 0.
-
-    Returns:
-        1 byte for the degree (5 from 255 on) and ``degree * ceil(log2(k + 2))`` bits, rounded up to
-        bytes; the tree version adds ``ceil(log2(degree + 1))`` bits; an epoch adds 1 to 4 bytes.
-    """
-    degree = len(tag.marks)
-    width = bits_per_port(team_size)
-    bits = 0
-    for mark in reversed(tag.marks):
-        bits = bits << width | mark
-    size = degree * width
-    if tree:
-        bits |= (0 if tag.entry is None else tag.entry + 1) << size
-        size += degree.bit_length()
-    head = bytes((degree,)) if degree < 255 else b"\xff" + degree.to_bytes(4, "little")
-    epoch = tag.epoch.to_bytes((tag.epoch.bit_length() + 7) // 8, "little")
-    return head + bits.to_bytes((size + 7) // 8, "little") + epoch
+def pack(tag: Tag, layout: Layout) -> bytes:
+    """Encode a tag: degree, marks, in the tree version the entry, and the epoch unless it is 0."""
+    bits = tag.marks
+    if tag.entry is not None:
+        bits |= (tag.entry + 1) << layout.degree * layout.width
+    body = bits.to_bytes(layout.size - len(layout.head), "little")
+    if not tag.epoch:
+        return layout.head + body
+    return layout.head + body + tag.epoch.to_bytes((tag.epoch.bit_length() + 7) // 8, "little")
 
 
-def tag_bytes(degree: int, team_size: int, *, tree: bool) -> int:
-    """Return the size of a tag of epoch 0 at a vertex of ``degree``."""
-    return len(pack(Tag((0,) * degree, team_size + 1), team_size, tree=tree))
-
-
-def unpack(data: bytes, degree: int, team_size: int, *, tree: bool) -> Tag:
-    """Decode a tag at a vertex of ``degree`` ports; a blank device has no marks.
+def unpack(data: bytes, layout: Layout) -> Tag:
+    """Decode a tag; a blank device holds no marks.
 
     Raises:
-        ValueError: If the bytes are no such tag.
+        ValueError: If the bytes are no tag of this layout.
     """
-    closed = team_size + 1
     if not data:
-        return Tag((0,) * degree, closed)
-    width = bits_per_port(team_size)
-    size = degree * width + (degree.bit_length() if tree else 0)
-    head = 1 if degree < 255 else 5
-    body = head + (size + 7) // 8
-    written = data[0] if degree < 255 else int.from_bytes(data[1:5], "little")
-    if len(data) < body or written != degree:
-        raise ValueError(f"tag {data.hex()} does not belong to a vertex of degree {degree}")
-    bits = int.from_bytes(data[head:body], "little")
-    mask = (1 << width) - 1
-    marks = tuple(bits >> port * width & mask for port in range(degree))
-    if max(marks, default=0) > closed:
-        raise ValueError(f"tag {data.hex()} holds more departures than the team has robots")
-    first = (bits >> degree * width) - 1 if tree else -1
-    if first >= degree:
-        raise ValueError(f"tag {data.hex()} names an entry beyond the degree {degree}")
-    entry = first if first >= 0 else None
-    return Tag(marks, closed, entry, int.from_bytes(data[body:], "little"))
+        return BLANK
+    head = len(layout.head)
+    if len(data) < layout.size or data[:head] != layout.head:
+        raise ValueError(f"tag {data.hex()} does not belong to a vertex of degree {layout.degree}")
+    bits = int.from_bytes(data[head : layout.size], "little")
+    width = layout.degree * layout.width
+    first = bits >> width
+    if first > (layout.degree if layout.tree else 0):
+        raise ValueError(f"tag {data.hex()} holds more than a vertex of degree {layout.degree}")
+    epoch = int.from_bytes(data[layout.size :], "little")
+    return Tag(bits & ((1 << width) - 1), first - 1 if first else None, epoch)
 
 
-# The rules, as plain functions.
+# The rules, as plain functions. Marks are one integer, as on the device.
 
 
-def record(tag: Tag, port: int | None) -> Tag:
-    """Mark the port of an arrival closed (Alg. 1 l. 3, 7, 10): finished, or an entry.
-
-    ``port`` is ``None`` for a robot that has not moved yet.
-    """
-    if port is None or tag.marks[port] == tag.closed:
-        return tag
-    marks = (*tag.marks[:port], tag.closed, *tag.marks[port + 1 :])
-    return Tag(marks, tag.closed, tag.entry, tag.epoch)
+def record(marks: int, port: int, layout: Layout) -> int:
+    """Mark the port of an arrival closed (Alg. 1 l. 3, 7, 10): finished, or an entry."""
+    return marks | layout.closed << port * layout.width
 
 
-def choose(tag: Tag) -> int | None:
+def choose(marks: int, layout: Layout) -> int | None:
     """Return the port to leave by (Alg. 1 l. 12-13), or ``None`` if none is eligible.
 
     Neither finished nor an entry, used by the fewest robots so far; ties to the lowest port.
+
+    Raises:
+        ValueError: If a mark counts more departures than the team has robots.
     """
-    fewest = min(tag.marks, default=tag.closed)
-    return None if fewest == tag.closed else tag.marks.index(fewest)
+    width, closed = layout.width, layout.closed
+    exit_, fewest = None, closed
+    for port in range(layout.degree):
+        mark = marks & closed
+        if mark < fewest:
+            exit_, fewest = port, mark
+        marks >>= width
+    if layout.team_size < fewest < closed:
+        raise ValueError(f"a tag counts {fewest} departures by a team of {layout.team_size}")
+    return exit_
 
 
-def depart(tag: Tag, port: int) -> Tag:
+def depart(marks: int, port: int, layout: Layout) -> int:
     """Count one more robot that departed by ``port``."""
-    marks = (*tag.marks[:port], tag.marks[port] + 1, *tag.marks[port + 1 :])
-    return Tag(marks, tag.closed, tag.entry, tag.epoch)
+    return marks + (1 << port * layout.width)
 
 
-# The same on the bytes of a device. Tags repeat all over a graph, so the results are kept.
+# The same on the bytes of a device. Tags repeat all over a graph, so the last results are kept.
 
 
-@lru_cache(maxsize=1 << 16)
-def recorded(
-    data: bytes, degree: int, port: int | None, epoch: int, team_size: int, tree: bool
-) -> tuple[int, bytes]:
+@lru_cache(maxsize=4096)
+def recorded(data: bytes, port: int | None, epoch: int, layout: Layout) -> tuple[int, bytes]:
     """Record an arrival by ``port`` on a device that holds ``data``.
+
+    ``port`` is ``None`` for a robot that has not moved yet.
 
     Returns:
         The epoch that the device is in, and its bytes afterwards. Where that epoch is newer than
         ``epoch`` nothing is recorded.
     """
-    tag = _in_epoch(unpack(data, degree, team_size, tree=tree), epoch)
+    tag = unpack(data, layout)
     if tag.epoch > epoch:
         return tag.epoch, data
-    if tree and not data:
-        tag = Tag(tag.marks, tag.closed, port, epoch)  # Alg. 2 l. 3-4
-    return epoch, pack(record(tag, port), team_size, tree=tree)
+    entry = tag.entry if data or not layout.tree else port  # Alg. 2 l. 3-4
+    marks = tag.marks if tag.epoch == epoch else 0  # those of an older epoch read as blank
+    if port is not None:
+        marks = record(marks, port, layout)
+    return epoch, pack(Tag(marks, entry, epoch), layout)
 
 
-@lru_cache(maxsize=1 << 16)
-def chosen(
-    data: bytes, degree: int, epoch: int, team_size: int, tree: bool
-) -> tuple[int | None, bytes]:
+@lru_cache(maxsize=4096)
+def chosen(data: bytes, epoch: int, layout: Layout) -> tuple[int | None, bytes]:
     """Choose an exit by what the device holds.
 
     Returns:
         The exit and the device's bytes with that departure counted; ``None`` and the bytes as they
         are where no port is eligible.
     """
-    tag = _in_epoch(unpack(data, degree, team_size, tree=tree), epoch)
-    port = choose(tag)
+    tag = unpack(data, layout)
+    marks = tag.marks if tag.epoch >= epoch else 0
+    port = choose(marks, layout)
     if port is None:
         return None, data
-    return port, pack(depart(tag, port), team_size, tree=tree)
+    epoch = max(epoch, tag.epoch)
+    return port, pack(Tag(depart(marks, port, layout), tag.entry, epoch), layout)
 
 
-def _in_epoch(tag: Tag, epoch: int) -> Tag:
-    """Read the marks of an older epoch as blank."""
-    return Tag((0,) * len(tag.marks), tag.closed, None, epoch) if tag.epoch < epoch else tag
+def epoch_on(here: Sight, epoch: int, team_size: int) -> int:
+    """Return the epoch of the device here, or ``epoch`` if that is newer."""
+    return max(epoch, unpack(here.tag, layout_of(here.degree, team_size, False)).epoch)
 
 
-def entry_on(data: bytes, degree: int, team_size: int) -> int | None:
-    """Return the entry that a device of the tree version holds."""
-    return unpack(data, degree, team_size, tree=True).entry
+def tag_bytes(degree: int, team_size: int, *, tree: bool) -> int:
+    """Return the size of a tag of epoch 0 at a vertex of ``degree``."""
+    return layout_of(degree, team_size, tree).size
 
 
 # The robot.
@@ -222,9 +233,10 @@ class RollCall:
         self.fresh_loss = not body.briefing.blank_tags  # marks of robots that are not here
 
     def hear(self, here: Sight) -> None:
-        """Take in who was lost; to hear the same again changes nothing."""
-        self.fresh_loss |= not self._lost.issuperset(here.losses)
-        self._lost.update(here.losses)
+        """Take in who was lost. Each sight must be heard once: it counts for the epoch it falls in."""
+        if here.losses:
+            self._lost.update(here.losses)
+            self.fresh_loss = True
 
     async def call(self, here: Sight, epoch: int) -> Sight:
         """Wait at the start for the living; return early if a newer epoch has begun there."""
@@ -249,14 +261,8 @@ class RollCall:
             else:
                 # Whole ticks, also when a loss was heard at a fraction of one.
                 here = await body.wait_for_news(at_most=float(ceil(deadline - here.time)))
-            if here.losses:
-                self.hear(here)
+            self.hear(here)
         return here
-
-
-def epoch_on(here: Sight, epoch: int, team_size: int) -> int:
-    """Return the epoch of the device here, or ``epoch`` if that is newer."""
-    return recorded(here.tag, here.degree, None, epoch, team_size, False)[0]
 
 
 async def go_home(body: Body, entry: Ports, here: Sight, roll: RollCall) -> Sight:
@@ -283,8 +289,10 @@ async def explore(
     open_: Ports = {start: None}
     while True:
         place = here.place
-        found, tag = recorded(here.tag, here.degree, port, epoch, k, tree)
+        layout = layout_of(here.degree, k, tree)
+        found, tag = recorded(here.tag, port, epoch, layout)
         if found > epoch:
+            roll.fresh_loss = False  # what is lost from now on is lost in the newer epoch
             return await go_home(body, entry, here, roll), found
         first = place not in entry
         if first:
@@ -299,9 +307,9 @@ async def explore(
         if not first and open_[place] != port:
             exit_ = port  # Alg. 1 l. 3
         else:
-            exit_, tag = chosen(tag, here.degree, epoch, k, tree)  # l. 12-13
+            exit_, tag = chosen(tag, epoch, layout)  # l. 12-13
             if exit_ is None:
-                exit_ = entry_on(tag, here.degree, k) if tree else entry[place]  # l. 15
+                exit_ = unpack(tag, layout).entry if tree else entry[place]  # l. 15
             open_[place] = exit_
         if exit_ is None:
             if here.alone:
@@ -318,7 +326,8 @@ async def explore(
 async def mr_dfs(body: Body, options: Options) -> None:
     """Explore, and return to the start."""
     here = await body.look()
-    epoch = recorded(here.tag, here.degree, None, 0, body.team_size, options.version == "tree")[0]
+    layout = layout_of(here.degree, body.team_size, options.version == "tree")
+    epoch = unpack(here.tag, layout).epoch
     roll = RollCall(body)
     roll.hear(here)
     while True:
@@ -327,9 +336,10 @@ async def mr_dfs(body: Body, options: Options) -> None:
             return
         if newest == epoch:
             here = await roll.call(here, epoch)
-        newest = epoch_on(here, newest, body.team_size)
-        if newest == epoch:
-            if not roll.fresh_loss:
-                return
-            newest += 1
-        epoch, roll.fresh_loss = newest, False
+            newest = epoch_on(here, epoch, body.team_size)
+            if newest == epoch:
+                if not roll.fresh_loss:
+                    return
+                newest += 1
+            roll.fresh_loss = False
+        epoch = epoch_on(here, newest, body.team_size)

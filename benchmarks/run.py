@@ -1,0 +1,18 @@
+"""All benchmarks, one after another: `make bench`."""
+
+import subprocess
+import sys
+
+BENCHMARKS = ("inprocess", "flat", "start", "bookkeeping", "processes")
+
+
+def main() -> int:
+    """Run them all; return the number that failed."""
+    return sum(
+        subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], check=False).returncode != 0
+        for name in BENCHMARKS
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
