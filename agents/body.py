@@ -5,7 +5,7 @@ await is one request: one message on the wire, one line of the trace, one possib
 """
 
 from collections.abc import Callable, Coroutine, Generator
-from random import Random
+from traceback import walk_tb
 from types import coroutine
 from typing import get_args
 
@@ -23,7 +23,7 @@ from protocol.messages import (
     WaitForNews,
     Write,
 )
-from protocol.seeds import spawn
+from protocol.seeds import Stream, spawn
 
 Ask = Generator[AnyRequest, Sight, Sight]
 """What every method of a Body returns: to be awaited, and answered with what the robot sees next."""
@@ -45,7 +45,7 @@ class Body:
         self.briefing = briefing
         self.robot = briefing.robot
         self.team_size = briefing.team_size
-        self.rng: Random = spawn(briefing.seed, "robot", briefing.robot)
+        self.rng: Stream = spawn(briefing.seed, "robot", briefing.robot)
 
     @coroutine
     def look(self) -> Ask:
@@ -71,7 +71,7 @@ class Body:
         """Write the tag if one is given, leave by port ``exit_`` and arrive (one move)."""
         if exit_.__class__ is not int or not -EXIT_MAX < exit_ < EXIT_MAX:
             raise AlgorithmError(f"move by exit {exit_!r}; expected the number of a port")
-        if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:  # type: ignore[arg-type]
+        if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:
             _check(tag, messages)
         return (yield Move(tag, messages, exit_))
 
@@ -138,6 +138,9 @@ def _time(duration: float) -> float:
     return float(duration)
 
 
+NO_LOOP = ("no running event loop", "There is no current event loop")
+"""How asyncio says that nobody runs a loop."""
+
 REQUEST_TYPES = frozenset(get_args(AnyRequest))
 Algorithm = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
 
@@ -170,6 +173,11 @@ class Driver:
             request = self.send(sight)
         except StopIteration as stop:
             return self.last_request(stop)
+        except RuntimeError as error:
+            foreign = self.foreign_loop(error)
+            if foreign is None:
+                raise
+            raise foreign from error
         if request.__class__ not in REQUEST_TYPES:
             raise self.foreign_await(request)
         return request
@@ -189,9 +197,24 @@ class Driver:
     def foreign_await(self, request: object) -> AlgorithmError:
         """Return the error of an algorithm that awaits ``request``, which is no request."""
         frame = self._coroutine.cr_frame  # type: ignore[attr-defined]
-        line = f" near line {frame.f_lineno}" if frame is not None else ""
+        return self._foreign(frame and frame.f_lineno, repr(request))
+
+    def foreign_loop(self, error: RuntimeError) -> AlgorithmError | None:
+        """Return the error of an algorithm that ended with ``error`` as it looked for an event loop.
+
+        ``None`` if it ended with something else.
+        """
+        if not str(error).startswith(NO_LOOP):
+            return None
+        code = self._coroutine.cr_code  # type: ignore[attr-defined]
+        frames = walk_tb(error.__traceback__)
+        line = next((line for frame, line in frames if frame.f_code is code), None)
+        return self._foreign(line, str(error))
+
+    def _foreign(self, line: int | None, what: str) -> AlgorithmError:
+        where = self._name if line is None else f"{self._name} near line {line}"
         return AlgorithmError(
-            f"{self._name}{line} awaits something that is not of its Body ({request!r}); "
+            f"{where} awaits something that is not of its Body ({what}); "
             "an algorithm awaits only body.look(), body.move(...) and their like"
         )
 

@@ -32,7 +32,7 @@ def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
     Raises:
         ScenarioError: If there is no such algorithm, or the options are not its own.
     """
-    function = ALGORITHMS.get(name.lower().replace("_", "-")) or _of_user(name)
+    function: Any = ALGORITHMS.get(name.lower().replace("_", "-")) or _of_user(name)
     if not inspect.iscoroutinefunction(function):
         raise ScenarioError(f"field `algorithm`: {name!r} is no `async def` function")
     parameters = list(inspect.signature(function).parameters.values())
@@ -44,7 +44,8 @@ def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
     if len(parameters) == 1:
         if options:
             raise ScenarioError(f"field `algorithm_options`: {name!r} takes none, found {options}")
-        return function
+        plain: Algorithm = function
+        return plain
     kind: Any = get_type_hints(function).get(parameters[1].name, dict)
     try:
         filled = msgspec.convert(options, kind)

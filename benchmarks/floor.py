@@ -105,8 +105,10 @@ def measure(
 @contextmanager
 def _processes(port: int, robots: int, folder: Path, *, with_store: bool) -> Iterator[None]:
     commands = [("bookkeeping", ["store", str(port), str(folder)])] if with_store else []
-    for number in range(robots):
-        commands.append((f"robot-{number}", ["robot", str(port), str(number), str(folder)]))
+    commands += [
+        (f"robot-{number}", ["robot", str(port), str(number), str(folder)])
+        for number in range(robots)
+    ]
     started = [
         subprocess.Popen(
             [sys.executable, "-m", "benchmarks.floor", *command],

@@ -5,6 +5,7 @@ python -m bookkeeping.node DATABASE --run RUN --port PORT --capacity-bytes N [--
 
 import argparse
 import asyncio
+import contextlib
 import os
 import sys
 from pathlib import Path
@@ -73,11 +74,9 @@ async def _main(arguments: argparse.Namespace) -> None:
         config = LinkConfig(
             arguments.run, arguments.port, credentials=credentials_of("bookkeeping")
         )
-        with Link(config) as link:
-            try:
-                await run_beside_loop(link, lambda: serve(link, store))
-            except RunError:
-                pass  # told to end
+        # A RunError says that we are told to end.
+        with Link(config) as link, contextlib.suppress(RunError):
+            await run_beside_loop(link, lambda: serve(link, store))
 
 
 def main() -> None:

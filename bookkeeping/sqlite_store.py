@@ -52,8 +52,10 @@ _SYNCHRONOUS: dict[Durability, str] = {"process": "NORMAL", "power": "FULL"}
 
 _TABLES = (
     "CREATE TABLE tag (place INTEGER PRIMARY KEY, revision INTEGER NOT NULL, tag BLOB NOT NULL)",
-    "CREATE TABLE run (name TEXT NOT NULL, incarnation INTEGER NOT NULL, wave INTEGER NOT NULL,"
-    " tag_format TEXT NOT NULL)",
+    (
+        "CREATE TABLE run (name TEXT NOT NULL, incarnation INTEGER NOT NULL, wave INTEGER NOT NULL,"
+        " tag_format TEXT NOT NULL)"
+    ),
     "INSERT INTO run VALUES ('', 0, 0, '')",
     f"PRAGMA application_id = {APPLICATION_ID}",
     f"PRAGMA user_version = {FILE_VERSION}",
@@ -115,9 +117,10 @@ class SqliteStore(Store):
             tag_format: what the bytes of a tag mean: a run that keeps tags must name the same.
 
         Raises:
-            StoreError: If the tags that are kept have another format, the file is of another kind or newer, damaged, open elsewhere or
-                inaccessible, if a tag in it exceeds the capacity, or if the capacity is negative or
-                the run has no name. The message names the file and a fix.
+            StoreError: If the tags that are kept have another format, if the file is of another
+                kind or newer, damaged, open elsewhere or inaccessible, if a tag in it exceeds the
+                capacity, or if the capacity is negative or the run has no name. The message names
+                the file and a fix.
         """
         check_opening(run, capacity_bytes)
         self._path = Path(path)

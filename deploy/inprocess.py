@@ -74,10 +74,15 @@ def play(
                         request = send[robot](sight)
                     except StopIteration as stop:
                         request = drivers[robot].last_request(stop)
+                    except RuntimeError as error:
+                        foreign = drivers[robot].foreign_loop(error)
+                        if foreign is None:
+                            raise
+                        raise foreign from error
                     if request.__class__ not in REQUEST_TYPES:
                         raise drivers[robot].foreign_await(request)
                     requests.append(request)
-                except Exception:  # noqa: BLE001  whatever a user's algorithm raises
+                except (Exception, SystemExit):  # noqa: BLE001  whatever a user's algorithm raises
                     failures[robot] = traceback.format_exc()
                     requests.append(None)
                     lost = (*lost, (robot, "failed"))

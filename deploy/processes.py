@@ -70,9 +70,11 @@ async def play(
                 await supervisor.end(names)
             await supervisor.end()
     finally:
-        supervisor.end_now()
-        await supervisor.end()
-        run_dir.remove_processes()
+        try:
+            await supervisor.end()
+        finally:
+            supervisor.end_now()
+            run_dir.remove_processes()
     return dict(supervisor.restarts), team.failures
 
 
@@ -173,10 +175,11 @@ class _Team:
         self._decode: Any = decoder_of(AnyReport)  # type: ignore[arg-type]
         self._put = link.publisher(link.keys.supervisor_reports)
         loop = asyncio.get_running_loop()
-        link.subscribe(
-            link.keys.world_reports,
-            lambda payload: loop.call_soon_threadsafe(self._heard, payload),
-        )
+
+        def heard(payload: bytes) -> None:
+            loop.call_soon_threadsafe(self._heard, payload)
+
+        link.subscribe(link.keys.world_reports, heard)
 
     def ended(self, robot: int, code: int) -> None:
         """Take in that a robot's process ended, and keep why if it was its own doing."""

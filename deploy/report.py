@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 PLAIN_S = 1.0
 """Without a terminal, progress is a line now and then."""
 
-BAR = 32
+BAR = 20
 
 
 class Display:
@@ -76,7 +76,7 @@ class Display:
     def _words(self, progress: Progress) -> str:
         return (
             f"t = {progress.time:g}  {progress.covered}/{self._to_cover} places  "
-            f"{progress.steps} moves  {progress.alive}/{self._robots} robots under way"
+            f"{progress.steps} moves  {progress.alive}/{self._robots} robots"
         )
 
     def _drawn(self, progress: Progress) -> "Text":

@@ -114,4 +114,5 @@ class OutcomeUnknownError(CanopyError):
 
 def rule_errors() -> dict[str, type[RuleError]]:
     """Map the name of each kind of refusal to its class, as it travels in a `Refusal`."""
-    return {cls.__name__: cls for cls in (RuleError, *RuleError.__subclasses__())}
+    kinds: list[type[RuleError]] = [RuleError, *RuleError.__subclasses__()]
+    return {kind.__name__: kind for kind in kinds}

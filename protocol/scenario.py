@@ -88,9 +88,8 @@ class TeamSection(Section, frozen=True, kw_only=True):
     """The robots."""
 
     robots: Count  #: Number of robots (the papers' k).
-    speed: Positive | tuple[Positive, ...] = (
-        1.0  #: Length per time unit (event clock), or one each.
-    )
+    speed: Positive | tuple[Positive, ...] = 1.0
+    #: Length per time unit (event clock), or one each.
 
 
 class ClockSection(Section, frozen=True, kw_only=True):
@@ -126,9 +125,8 @@ class DeviceSection(Section, frozen=True, kw_only=True):
 class BookkeepingSection(Section, frozen=True, kw_only=True):
     """The store that outlives a run."""
 
-    database: str | None = (
-        None  #: SQLite file, relative to the scenario; default: in the run folder.
-    )
+    database: str | None = None
+    #: SQLite file, relative to the scenario; default: in the run folder.
     fresh: bool = True  #: Start on blank tags; false: on those that an earlier run left.
 
 
@@ -208,7 +206,7 @@ def from_tree(tree: dict[str, Any], source: str, default_name: str = "scenario")
         ScenarioError: If a field is missing, unknown, of the wrong type or out of range; the message
             begins with ``source``.
     """
-    if isinstance(tree, dict) and not tree.get("name"):
+    if not tree.get("name"):
         tree = {**tree, "name": default_name}
     try:
         scenario = msgspec.convert(tree, Scenario)

@@ -2,8 +2,11 @@
 
 import random
 
+Stream = random.Random
+"""A random stream, for those who draw from one but may not make one."""
 
-def spawn(seed: int, *path: int | str) -> random.Random:
+
+def spawn(seed: int, *path: int | str) -> Stream:
     """Return the random stream that belongs to ``path`` under ``seed``.
 
     Streams of different paths are independent; the same seed and path give the same stream in every

@@ -1,5 +1,7 @@
 """Robot algorithms of users, as the tests of whole runs name them: ``tests.robots:wanderer``."""
 
+import asyncio
+
 from agents.body import Body
 
 
@@ -57,6 +59,14 @@ async def awaits_a_stranger(body: Body) -> None:
     here = await body.look()
     if body.robot == 1:
         await Stranger()
+    await body.move(here.degree - 1)
+
+
+async def sleeps(body: Body) -> None:
+    """Await, as robot 1, what asks for an event loop."""
+    here = await body.look()
+    if body.robot == 1:
+        await asyncio.sleep(1)
     await body.move(here.degree - 1)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from agents.body import Body, Driver
 from agents.registry import ALGORITHMS, algorithm_of
+from deploy.inprocess import play
 from protocol.errors import AlgorithmError, ScenarioError
 from protocol.messages import (
     Briefing,
@@ -22,6 +23,9 @@ from protocol.messages import (
     WaitForNews,
     Write,
 )
+from tests.play import graph_of, scenario_of
+from world_server.terrain import GraphTerrain
+from world_server.world import World
 
 SIGHT = Sight(0.0, 0, None, 1, b"", 0, True)
 
@@ -103,6 +107,51 @@ def test_an_event_loop_is_foreign() -> None:
 
     with pytest.raises(AlgorithmError, match="awaits something that is not of its Body"):
         driver_of(sleeper).next_request(None)
+
+
+async def sleep(body: Body) -> None:
+    await body.look()
+    await asyncio.sleep(1)
+
+
+async def sleep_inside(body: Body) -> None:
+    async def inner() -> None:
+        await asyncio.sleep(1)
+
+    await body.look()
+    await inner()
+
+
+def test_what_looks_for_an_event_loop_names_the_line() -> None:
+    for algorithm, lines in ((sleep, 2), (sleep_inside, 5)):
+        driver = driver_of(algorithm)
+        driver.next_request(None)
+        line = algorithm.__code__.co_firstlineno + lines
+        words = rf"{algorithm.__name__} near line {line} awaits something .*no running event loop"
+        with pytest.raises(AlgorithmError, match=words) as caught:
+            driver.next_request(SIGHT)
+        assert isinstance(caught.value.__cause__, RuntimeError)
+
+
+def test_the_inprocess_engine_names_the_line_too() -> None:
+    scenario = scenario_of(2)
+    world = World(scenario, GraphTerrain(graph_of("01")), [0, 0])
+    _, failures = play(scenario, world, sleep)
+    line = sleep.__code__.co_firstlineno + 2
+    for text in failures.values():
+        assert f"AlgorithmError: sleep near line {line} awaits something" in text
+    assert failures.keys() == {0, 1}
+
+
+def test_other_runtime_errors_are_passed_on() -> None:
+    async def broken(body: Body) -> None:
+        raise RuntimeError("mine")
+
+    with pytest.raises(RuntimeError, match=r"^mine$"):
+        driver_of(broken).next_request(None)
+    scenario = scenario_of(1)
+    _, failures = play(scenario, World(scenario, GraphTerrain(graph_of("01")), [0]), broken)
+    assert failures[0].endswith("\nRuntimeError: mine\n")
 
 
 def test_a_foreign_await_in_a_function_it_calls_is_found_too() -> None:

@@ -515,19 +515,13 @@ FAULTY = {
     "takes_no_exit": ({1: "refused"}, "ExitError", "exit 99"),
     "writes_too_much": ({1: "refused"}, "TagError", "1000 bytes"),
     "goes_in_rounds": ({0: "refused", 1: "refused"}, "RoundsError", "free requests"),
+    "sleeps": ({1: "failed"}, "AlgorithmError", "(no running event loop)"),
     "moves_by_name": ({1: "failed"}, "AlgorithmError", "'north'"),
     "leaves_the_interpreter": ({1: "failed"}, "SystemExit", ""),
 }
-OPEN = pytest.mark.xfail(
-    reason="deploy/inprocess.py catches Exception only: SystemExit ends the whole command with 0",
-    strict=False,
-)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=OPEN if name == "leaves_the_interpreter" else ()) for name in FAULTY],
-)
+@pytest.mark.parametrize("name", FAULTY)
 def test_a_robot_that_ends_loudly_is_named_and_the_others_go_on(name: str, scenario: Path):
     lost, error, detail = FAULTY[name]
     traces = set()

@@ -110,6 +110,8 @@ def test_a_free_port_lies_outside_the_ephemeral_range():
 
 def test_a_port_in_use_is_told_in_one_line(run_name: str):
     with socket.socket() as taken:
+        # As `free_port` looks: a port that was just closed is free.
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         taken.bind(("127.0.0.1", free_port()))
         taken.listen()
         port = taken.getsockname()[1]

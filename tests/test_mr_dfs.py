@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.algorithms.mr_dfs import (
+    Layout,
     Tag,
     choose,
     chosen,
@@ -58,86 +59,146 @@ TREE: dict[str, Any] = {"algorithm_options": {"version": "tree"}}
 # The rules.
 
 
+def marks_in(layout: Layout, *counts: int | None) -> int:
+    """Return marks as one integer; a count of departures for each port, ``None`` for a closed one."""
+    assert len(counts) == layout.degree
+    marks = [layout.closed if count is None else count for count in counts]
+    return sum(mark << port * layout.width for port, mark in enumerate(marks))
+
+
+def counts_of(marks: int, layout: Layout) -> list[int | None]:
+    """Return what `marks_in` was given."""
+    ports = range(layout.degree)
+    counts = [marks >> port * layout.width & layout.closed for port in ports]
+    return [None if count == layout.closed else count for count in counts]
+
+
+THREE = Layout(3, 4, tree=False)  # of 3 ports, for a team of 4
+TWO = Layout(2, 3, tree=False)
+
+
 def test_an_arrival_closes_its_port_and_nothing_else() -> None:
-    assert record(Tag((0, 2, 1), 5), 1) == Tag((0, 5, 1), 5)
-    assert record(Tag((0, 5, 1), 5, epoch=3), 1) == Tag((0, 5, 1), 5, epoch=3)
-    assert record(Tag((0, 2, 1), 5, 2, 7), 0) == Tag((5, 2, 1), 5, 2, 7)
+    assert record(marks_in(THREE, 0, 2, 1), 1, THREE) == marks_in(THREE, 0, None, 1)
+    assert record(marks_in(THREE, 0, None, 1), 1, THREE) == marks_in(THREE, 0, None, 1)
+    assert record(marks_in(THREE, None, 2, 1), 0, THREE) == marks_in(THREE, None, 2, 1)
+    layout = Layout(3, 4, tree=True)
+    tag = Tag(marks_in(layout, 0, 2, 1), 2, 7)
+    expected = Tag(marks_in(layout, None, 2, 1), 2, 7)
+    assert recorded(pack(tag, layout), 0, 7, layout) == (7, pack(expected, layout))
 
 
 def test_a_robot_that_has_not_moved_records_nothing() -> None:
-    assert record(Tag((0, 2), 5), None) == Tag((0, 2), 5)
+    data = pack(Tag(marks_in(TWO, 0, 2)), TWO)
+    assert recorded(data, None, 0, TWO) == (0, data)
 
 
 @pytest.mark.parametrize(
-    ("marks", "exit_"),
+    ("counts", "exit_"),
     [
         ((0, 0, 0), 0),
         ((1, 0, 0), 1),
         ((2, 1, 1), 1),
-        ((5, 3, 4), 1),
-        ((5, 5, 4), 2),
-        ((5, 5, 5), None),
+        ((None, 3, 4), 1),
+        ((None, None, 4), 2),
+        ((None, None, None), None),
         ((), None),
     ],
 )
 def test_the_port_with_the_fewest_departures_ties_to_the_lowest(
-    marks: tuple[int, ...], exit_: int | None
+    counts: tuple[int | None, ...], exit_: int | None
 ) -> None:
     """Reference: Sec. III, Alg. 1 l. 12-13."""
-    assert choose(Tag(marks, 5)) == exit_
+    layout = Layout(len(counts), 4, tree=False)
+    assert choose(marks_in(layout, *counts), layout) == exit_
 
 
 def test_a_departure_is_counted() -> None:
-    assert depart(Tag((0, 2, 5), 5, 1, 4), 1) == Tag((0, 3, 5), 5, 1, 4)
+    assert depart(marks_in(THREE, 0, 2, None), 1, THREE) == marks_in(THREE, 0, 3, None)
+    layout = Layout(3, 4, tree=True)
+    tag = Tag(marks_in(layout, 3, 2, None), 1, 4)
+    expected = Tag(marks_in(layout, 3, 3, None), 1, 4)
+    assert chosen(pack(tag, layout), 4, layout) == (1, pack(expected, layout))
 
 
 def test_marks_of_an_older_epoch_read_as_blank() -> None:
-    old = pack(Tag((4, 4), 4, epoch=1), 3, tree=False)
-    assert chosen(old, 2, 1, 3, False) == (None, old)
-    assert chosen(old, 2, 2, 3, False) == (0, pack(Tag((1, 0), 4, epoch=2), 3, tree=False))
-    expected = pack(Tag((0, 4), 4, epoch=2), 3, tree=False)
-    assert recorded(old, 2, 1, 2, 3, False) == (2, expected)
+    old = pack(Tag(marks_in(TWO, None, None), epoch=1), TWO)
+    assert chosen(old, 1, TWO) == (None, old)
+    assert chosen(old, 2, TWO) == (0, pack(Tag(marks_in(TWO, 1, 0), epoch=2), TWO))
+    expected = pack(Tag(marks_in(TWO, 0, None), epoch=2), TWO)
+    assert recorded(old, 1, 2, TWO) == (2, expected)
 
 
 def test_on_a_newer_epoch_nothing_is_recorded() -> None:
-    new = pack(Tag((0, 1), 4, epoch=3), 3, tree=False)
-    assert recorded(new, 2, 1, 2, 3, False) == (3, new)
+    new = pack(Tag(marks_in(TWO, 0, 1), epoch=3), TWO)
+    assert recorded(new, 1, 2, TWO) == (3, new)
 
 
 def test_the_first_robot_of_all_leaves_its_entry_on_the_tree_version() -> None:
     """Reference: Sec. III, Alg. 2 l. 3-4."""
-    _, tag = recorded(b"", 3, 2, 0, 3, True)
-    assert unpack(tag, 3, 3, tree=True) == Tag((0, 0, 4), 4, 2)
-    _, tag = recorded(tag, 3, 1, 0, 3, True)
-    assert unpack(tag, 3, 3, tree=True).entry == 2
+    layout = Layout(3, 3, tree=True)
+    _, tag = recorded(b"", 2, 0, layout)
+    assert unpack(tag, layout) == Tag(marks_in(layout, 0, 0, None), 2)
+    _, tag = recorded(tag, 1, 0, layout)
+    assert unpack(tag, layout) == Tag(marks_in(layout, 0, None, None), 2)
 
 
 degrees = st.one_of(st.integers(0, 12), st.sampled_from([254, 255, 256, 300]))
 
 
 @st.composite
-def tags(draw: st.DrawFn) -> tuple[Tag, int, bool]:
-    """A tag, its team size, and whether it is of the tree version."""
-    degree, k, tree = draw(degrees), draw(st.integers(1, 70)), draw(st.booleans())
-    few = st.lists(st.integers(0, k + 1), min_size=min(degree, 12), max_size=min(degree, 12))
-    marks = (draw(few) * 30)[:degree]
-    entry = draw(st.none() | st.integers(0, degree - 1)) if tree and degree else None
-    return Tag(tuple(marks), k + 1, entry, draw(st.integers(0, 1 << 20))), k, tree
+def counts_and_layouts(draw: st.DrawFn) -> tuple[list[int | None], Layout]:
+    """What each port of a vertex counts, and the layout of its tag."""
+    layout = Layout(draw(degrees), draw(st.integers(1, 70)), tree=draw(st.booleans()))
+    size = min(layout.degree, 12)
+    count = st.none() | st.integers(0, layout.team_size)
+    few = st.lists(count, min_size=size, max_size=size)
+    return (draw(few) * 30)[: layout.degree], layout
+
+
+@st.composite
+def tags(draw: st.DrawFn) -> tuple[Tag, Layout]:
+    """A tag and its layout."""
+    counts, layout = draw(counts_and_layouts())
+    last = layout.degree - 1
+    entry = draw(st.none() | st.integers(0, last)) if layout.tree and counts else None
+    return Tag(marks_in(layout, *counts), entry, draw(st.integers(0, 1 << 20))), layout
 
 
 @given(tags())
-def test_a_tag_survives_its_device(drawn: tuple[Tag, int, bool]) -> None:
-    tag, k, tree = drawn
-    data = pack(tag, k, tree=tree)
+def test_a_tag_survives_its_device(drawn: tuple[Tag, Layout]) -> None:
+    tag, layout = drawn
+    data = pack(tag, layout)
     assert data  # an empty tag would read as a blank device
-    assert unpack(data, len(tag.marks), k, tree=tree) == tag
+    assert unpack(data, layout) == tag
+
+
+@given(counts_and_layouts(), st.data())
+def test_the_rules_on_bits_are_those_on_lists(
+    drawn: tuple[list[int | None], Layout], data: st.DataObject
+) -> None:
+    counts, layout = drawn
+    marks = marks_in(layout, *counts)
+    assert counts_of(marks, layout) == counts
+    eligible = [(count, port) for port, count in enumerate(counts) if count is not None]
+    assert choose(marks, layout) == (min(eligible)[1] if eligible else None)
+    if not counts:
+        return
+    port = data.draw(st.integers(0, layout.degree - 1))
+    closed = [None if at == port else count for at, count in enumerate(counts)]
+    assert counts_of(record(marks, port, layout), layout) == closed
+    count = counts[port]
+    if count is not None and count < layout.team_size:
+        departed = [*counts[:port], count + 1, *counts[port + 1 :]]
+        assert counts_of(depart(marks, port, layout), layout) == departed
 
 
 @given(st.integers(0, 254), st.integers(1, 100))
 def test_the_size_is_one_byte_and_the_bits_of_the_ports(degree: int, k: int) -> None:
     size = 1 + ceil(degree * ceil(log2(k + 2)) / 8)
     assert tag_bytes(degree, k, tree=False) == size
-    assert len(pack(Tag((k + 1,) * degree, k + 1), k, tree=False)) == size
+    layout = Layout(degree, k, tree=False)
+    for count in (0, k, None):
+        assert len(pack(Tag(marks_in(layout, *[count] * degree)), layout)) == size
 
 
 @pytest.mark.parametrize("degree", [255, 256, 300])
@@ -151,18 +212,23 @@ def test_the_tree_version_also_stores_an_entry() -> None:
 
 
 def test_a_blank_device_has_no_marks() -> None:
-    assert unpack(b"", 3, 2, tree=False) == Tag((0, 0, 0), 3)
+    assert unpack(b"", Layout(3, 2, tree=False)) == Tag(0, None, 0)
+
+
+def blank_tag(degree: int) -> bytes:
+    """Return a tag without marks for a team of 2."""
+    return pack(Tag(), Layout(degree, 2, tree=False))
 
 
 @pytest.mark.parametrize(
     ("data", "degree", "k", "tree"),
     [
-        (pack(Tag((0,) * 4, 3), 2, tree=False), 3, 2, False),  # of another vertex
-        (pack(Tag((0,) * 8, 3), 2, tree=False)[:-1], 8, 2, False),  # cut off
+        (blank_tag(4), 3, 2, False),  # of another vertex
+        (blank_tag(8)[:-1], 8, 2, False),  # cut off
         (b"\x01", 1, 2, False),
-        (b"\x02\x0e", 2, 1, False),  # 3 departures of a team of 1
+        (b"\x01\x04", 1, 2, False),  # more than the marks of its port
         (b"\x01\xfc", 1, 2, True),  # an entry beyond the degree
-        (pack(Tag((0,) * 255, 3), 2, tree=False), 254, 2, False),
+        (blank_tag(255), 254, 2, False),
         (b"\xff\x00\x01\x00\x00", 256, 2, False),  # no marks
         (b"\xff", 255, 2, False),
         (b"\xff\xff", 300, 2, False),
@@ -170,18 +236,35 @@ def test_a_blank_device_has_no_marks() -> None:
 )
 def test_a_wrong_tag_is_refused(data: bytes, degree: int, k: int, tree: bool) -> None:
     with pytest.raises(ValueError, match="tag"):
-        unpack(data, degree, k, tree=tree)
+        unpack(data, Layout(degree, k, tree=tree))
+
+
+def test_a_count_above_the_teams_size_is_refused_when_it_would_be_chosen() -> None:
+    layout = Layout(2, 1, tree=False)
+    with pytest.raises(ValueError, match="a tag counts 2 departures by a team of 1"):
+        chosen(b"\x02\x0e", 0, layout)
+    with pytest.raises(ValueError, match="tag"):
+        choose(marks_in(layout, 2, 2), layout)
+    assert choose(marks_in(layout, 2, 1), layout) == 1
 
 
 @given(st.binary(min_size=1, max_size=12), st.integers(0, 9), st.integers(1, 9), st.booleans())
 def test_any_bytes_are_a_tag_or_refused(data: bytes, degree: int, k: int, tree: bool) -> None:
+    layout = Layout(degree, k, tree=tree)
     try:
-        tag = unpack(data, degree, k, tree=tree)
+        tag = unpack(data, layout)
     except ValueError:
         return
-    assert len(tag.marks) == degree
-    assert max(tag.marks, default=0) <= k + 1
-    assert unpack(pack(tag, k, tree=tree), degree, k, tree=tree) == tag
+    counts = counts_of(tag.marks, layout)
+    assert marks_in(layout, *counts) == tag.marks
+    assert tag.entry is None or (tree and 0 <= tag.entry < degree)
+    assert unpack(pack(tag, layout), layout) == tag
+    try:
+        exit_ = choose(tag.marks, layout)
+    except ValueError:
+        return
+    count = None if exit_ is None else counts[exit_]
+    assert count is None if exit_ is None else count is not None and count <= k
 
 
 # What the readings break.
@@ -591,11 +674,14 @@ def assert_only_arrivals_close(graph: PortGraph, run: Played) -> None:
         if isinstance(event.what, str) or event.what.tag is None:
             continue
         assert event.place is not None
-        tag = unpack(event.what.tag, graph.degree(event.place), run.robots, tree=False)
-        before = held.get(event.place, Tag((0,) * len(tag.marks), tag.closed))
-        old = before.marks if before.epoch == tag.epoch else (0,) * len(tag.marks)
-        for port, (mark, mark_before) in enumerate(zip(tag.marks, old, strict=True)):
-            newly = mark == tag.closed != mark_before
+        layout = Layout(graph.degree(event.place), run.robots, tree=False)
+        tag = unpack(event.what.tag, layout)
+        before = held.get(event.place, Tag())
+        old = counts_of(before.marks if before.epoch == tag.epoch else 0, layout)
+        counts = counts_of(tag.marks, layout)
+        assert max((count or 0 for count in counts), default=0) <= run.robots, f"{event}"
+        for port, (count, count_before) in enumerate(zip(counts, old, strict=True)):
+            newly = count is None and count_before is not None
             assert not newly or port == event.entry, f"port {port} of {event}"
         held[event.place] = tag
 

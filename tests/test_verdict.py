@@ -1,5 +1,6 @@
 """The verdict: each check bites on a trace that breaks it, none on what robots really do."""
 
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -15,7 +16,8 @@ from agents.registry import algorithm_of
 from deploy.inprocess import play
 from deploy.verdict.guarantees import Guarantee, Status, rules_kept
 from deploy.verdict.ledger import Ledger, reachable
-from deploy.verdict.result import Result, exit_code, judge, monitors_of, observers
+from deploy.verdict.result import Result, RobotError, exit_code, judge, monitors_of, observers
+from protocol.errors import AlgorithmError
 from protocol.graph import PortGraph
 from protocol.messages import (
     AnyRequest,
@@ -756,7 +758,7 @@ def test_a_stalled_run_says_who_waits_where() -> None:
 def test_errors_are_told_apart() -> None:
     scenario = scenario_of(2)
     ledger = ledger_of(PATH, GOOD, [0, 0], scenario)
-    traceback = 'Traceback (most recent call last):\n  File "x"\nValueError: no: such thing\n'
+    printed = 'Traceback (most recent call last):\n  File "x"\nValueError: no: such thing\n'
     result = judge(
         scenario,
         ledger,
@@ -766,16 +768,54 @@ def test_errors_are_told_apart() -> None:
         trace_sha256="ab",
         wall_s=0.9,
         play_s=0.5,
-        failures={1: traceback},
+        failures={1: printed},
         refusals={0: Refusal("ExitError", "exit 7")},
         restarts={"world": 2},
     )
     refused, failed = result.errors
     assert (refused.robot, refused.error, refused.detail) == (0, "ExitError", "exit 7")
     assert (failed.robot, failed.error, failed.detail) == (1, "ValueError", "no: such thing")
-    assert failed.traceback == traceback
+    assert failed.traceback == printed
     assert result.restarts == {"world": 2}
     assert result.steps_per_s == result.steps / 0.5
+
+
+def traceback_of(error: BaseException, cause: BaseException | None = None) -> str:
+    try:
+        raise error from cause
+    except type(error):
+        return traceback.format_exc()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "detail"),
+    [
+        (traceback_of(ValueError("no good\nsecond line")), "ValueError", "no good second line"),
+        (
+            traceback_of(ValueError("no: good\n  second: line\n")),
+            "ValueError",
+            "no: good second: line",
+        ),
+        (traceback_of(ValueError("\nlate")), "ValueError", "late"),
+        (traceback_of(SystemExit(0)), "SystemExit", "0"),
+        (traceback_of(SystemExit()), "SystemExit", ""),
+        (traceback_of(KeyError("mine"), ValueError("a cause")), "KeyError", "'mine'"),
+        (traceback_of(AlgorithmError("mine")), "protocol.errors.AlgorithmError", "mine"),
+        ("printed: this\n" + traceback_of(ValueError("a\nb")), "ValueError", "a b"),
+        (traceback_of(OSError("1")) + traceback_of(ValueError("2")), "ValueError", "2"),
+        ("no traceback: at all", "no traceback", "at all"),
+        ("Traceback (most recent call last):\n  cut off", "  cut off", ""),
+        ("", "", ""),
+    ],
+)
+def test_an_error_is_named_and_its_message_is_one_line(text: str, error: str, detail: str) -> None:
+    scenario = scenario_of(1)
+    ledger = ledger_of(PATH, GOOD, [0], scenario)
+    failures = {0: text}
+    result = judge(
+        scenario, ledger, (), status="over", engine="test", trace_sha256="ab", failures=failures
+    )
+    assert result.errors == [RobotError(0, error, detail, text)]
 
 
 def test_algorithms_of_users_have_the_common_guarantees() -> None:

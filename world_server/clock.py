@@ -7,12 +7,11 @@ one instant are those whose times are exactly equal.
 from collections.abc import Callable
 from heapq import heappop, heappush
 from math import isfinite
-from random import Random
 from typing import Generic, TypeVar
 
 from protocol.errors import DurationError
 from protocol.scenario import Scenario
-from protocol.seeds import spawn
+from protocol.seeds import Stream, spawn
 
 T = TypeVar("T")
 Length = Callable[[int, int], float | None]
@@ -28,7 +27,7 @@ class Lockstep:
 
     tick: float | None = 1.0
 
-    def move_duration(self, robot: int, place: int, exit_: int) -> float:
+    def move_duration(self, robot: int, place: int, exit_: int) -> float:  # noqa: ARG002  any clock's
         """Return 1.0, whatever the robot and the edge."""
         return 1.0
 
@@ -76,7 +75,7 @@ class EventClock:
         return float(duration)
 
 
-def _jitter(jitter: float | str) -> Callable[[Random], float] | None:
+def _jitter(jitter: float | str) -> Callable[[Stream], float] | None:
     if jitter == "exponential":
         return lambda stream: stream.expovariate(1.0)
     if isinstance(jitter, str) or jitter == 0:

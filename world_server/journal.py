@@ -130,8 +130,8 @@ class Journal:
         size = path.stat().st_size if path.exists() else 0
         end = 0
         if size:
-            for _, end in scan(path):
-                pass
+            for _, offset in scan(path):
+                end = offset
         self._path = path
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._flush = durability == "power"

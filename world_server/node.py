@@ -23,12 +23,10 @@ from protocol.codec import decoder_of, encode
 from protocol.errors import CanopyError, FencedError, MessageError, RunError, StoreError
 from protocol.lifeline import tie_to_supervisor
 from protocol.messages import (
-    PAYLOAD_BYTES_MAX,
     SCHEMA_VERSION,
     AnyReply,
     AnyRequest,
     AnyStoreReply,
-    AnyStoreRequest,
     BatchReply,
     Ended,
     Hello,
@@ -197,7 +195,7 @@ class WorldNode:
                 seat.process = join.process
         return encode(core.briefing(self._scenario, robot, seat.nonce))
 
-    def _token_changed(self, key: str, alive: bool) -> None:
+    def _token_changed(self, key: str, alive: bool) -> None:  # noqa: FBT001  called by the link
         if not alive:  # a token never seen is not a token gone
             self._tokens.append((key, alive))
             self.wake()

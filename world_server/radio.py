@@ -14,19 +14,19 @@ class Antenna(Protocol):
 
     Attributes:
         place: where it stands, or where it left from.
-        left_at: when it left that place; infinite while it stands there.
     """
 
     place: int
 
     @property
-    def left_at(self) -> float: ...
+    def left_at(self) -> float:
+        """When it left its place; infinite while it stands there."""
 
 
 class NoRadio:
     """Nobody hears anything."""
 
-    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:
+    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others
         """Tell whether ``receiver`` hears ``sender`` at ``time``."""
         return False
 
@@ -43,7 +43,7 @@ class SamePlaceRadio:
 class GlobalRadio:
     """Everybody hears everybody, also on the way."""
 
-    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:
+    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others
         """Tell whether ``receiver`` hears ``sender`` at ``time``."""
         return True
 

@@ -80,14 +80,10 @@ def replay(
     opening = read_opening(path)
     scenario = opening.checked_scenario()
     digest = TraceDigest()
-
-    def both(event: Event) -> None:
-        digest(event)
-        if observe is not None:
-            observe(event)
-
     terrain = GraphTerrain(opening.graph())
-    world = World(scenario, terrain, opening.starts, observe=both, on_write=on_write)
+    world = World(
+        scenario, terrain, opening.starts, observe=_both(digest, observe), on_write=on_write
+    )
     output = world.begin()
     closing: Closing | None = None
     for record, offset in scan(path):
@@ -117,6 +113,17 @@ def replay(
     if closing is not None and whole and found != closing.trace_sha256:
         raise ReplayError(f"{path}: recorded trace {closing.trace_sha256}, replayed {found}")
     return Replayed(opening, scenario, world, output, closing, found)
+
+
+def _both(digest: TraceDigest, observe: Observer | None) -> Observer:
+    if observe is None:
+        return digest
+
+    def both(event: Event) -> None:
+        digest(event)
+        observe(event)
+
+    return both
 
 
 def _after_kills(world: World, output: Output, until: float) -> Output:

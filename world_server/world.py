@@ -405,7 +405,7 @@ class World:
         wave = [body for body in wave if body.state == IN_TURN]
         if not wave:
             return
-        sights = [None] * len(wave) if self._round < 0 else self._sights(wave)
+        sights: list[Sight | None] = [None] * len(wave) if self._round < 0 else self._sights(wave)
         robots = [body.robot for body in wave]
         answers = yield Wave(self.time, self._round, self._wave, robots, sights)
         assert isinstance(answers, Answers)
@@ -450,7 +450,9 @@ class World:
             sights.append(sight)
         return sights
 
-    def _apply(self, wave: list[Body], requests: list[AnyRequest | None]) -> None:
+    def _apply(  # noqa: C901, PLR0915  see below
+        self, wave: list[Body], requests: list[AnyRequest | None]
+    ) -> None:
         """Let the requests of a wave take place, lowest id first.
 
         A request that the world does not allow does not happen, and its robot is out. This is the
@@ -460,9 +462,10 @@ class World:
         tags, revisions, on_write = self.tags, self.revisions, self._on_write
         capacity, resting_at = self._capacity, self._resting
         due, agenda = -1.0, None
-        for body, request in zip(wave, requests, strict=True):
-            if body.state != IN_TURN or request is None:
+        for body, asked in zip(wave, requests, strict=True):
+            if body.state != IN_TURN or asked is None:
                 continue  # lost since its turn came
+            request = asked
             kind = request.__class__
             place = body.place
             sight = body.sight

@@ -2,13 +2,13 @@
 
 Brass, Cabrera-Mora, Gasparri, Xiao 2011, "Multi-Robot Tree and Graph Exploration", Algorithms 1 and 2.
 
-Assumes: a connected graph with opaque passages; all robots start at one vertex and recognise vertices
-they have visited; a device at each vertex; no radio. Any robot may be lost at any time.
+Assumes: a connected graph with opaque passages; all robots start at one vertex and recognise
+vertices they have visited; a device at each vertex; no radio. Any robot may be lost at any time.
 
-Claims (Sec. IV), without losses: every edge is traversed, each robot uses each edge at most once in
-each direction (Lemma 1), so it makes at most 2e moves (Theorem 1); on trees, in lockstep, all finish
-at the same step (Lemma 2), within (2e + 2 C(k + r, k - 1)) / k (Theorem 2), for k = 2 within e + r
-(Theorem 3).
+Claims (Sec. IV), without losses: every edge is traversed, each robot uses each edge at most once
+in each direction (Lemma 1), so it makes at most 2e moves (Theorem 1); on trees, in lockstep, all
+finish at the same step (Lemma 2), within (2e + 2 C(k + r, k - 1)) / k (Theorem 2), for k = 2
+within e + r (Theorem 3).
 
 A device holds, for each port, whether it is *closed* (a robot came in by it: it is finished, or an
 entry) or else how many robots have *departed* by it (Sec. III): `Tag`. At every arrival all robots
@@ -18,13 +18,14 @@ Departures from the paper, in the default ``variant = "corrected"`` (``"paper"``
 
 - A robot that is sent straight back (lines 2-3) *bounces*: that is no departure, and its open port
   stays as it is. Read literally, a self-loop never ends. Both variants.
-- Lost robots can leave marks behind which nobody stands for, and on general graphs these can hide an
-  edge for ever. So a device also holds an *epoch*, and marks of an older epoch read as blank. A robot
-  that finds nothing to do at the start waits there for the living. When all are there and one was
-  lost in this epoch, or there were tags of an earlier team, they begin the next epoch; else they stop.
-- Where losses are not heard everywhere (``heartbeat = "reach"``) a robot cannot know who is alive. It
-  waits as long as the run has taken so far and then takes the absent for lost. A late comer that finds
-  marks of a newer epoch walks home by its entries, without a mark, and joins there.
+- Lost robots can leave marks behind which nobody stands for, and on general graphs these can hide
+  an edge for ever. So a device also holds an *epoch*, and marks of an older epoch read as blank. A
+  robot that finds nothing to do at the start waits there for the living. When all are there and
+  one was lost in this epoch, or there were tags of an earlier team, they begin the next epoch; else
+  they stop.
+- Where losses are not heard everywhere (``heartbeat = "reach"``) a robot cannot know who is alive.
+  It waits as long as the run has taken so far and then takes the absent for lost. A late comer that
+  finds marks of a newer epoch walks home by its entries, without a mark, and joins there.
 """
 
 from functools import lru_cache
@@ -190,18 +191,17 @@ def recorded(data: bytes, port: int | None, epoch: int, layout: Layout) -> tuple
 
 @lru_cache(maxsize=4096)
 def chosen(data: bytes, epoch: int, layout: Layout) -> tuple[int | None, bytes]:
-    """Choose an exit by what the device holds.
+    """Choose an exit by what the device holds; it is in ``epoch``, or an older one.
 
     Returns:
         The exit and the device's bytes with that departure counted; ``None`` and the bytes as they
         are where no port is eligible.
     """
     tag = unpack(data, layout)
-    marks = tag.marks if tag.epoch >= epoch else 0
+    marks = tag.marks if tag.epoch == epoch else 0
     port = choose(marks, layout)
     if port is None:
         return None, data
-    epoch = max(epoch, tag.epoch)
     return port, pack(Tag(depart(marks, port, layout), tag.entry, epoch), layout)
 
 
@@ -221,8 +221,9 @@ def tag_bytes(degree: int, team_size: int, *, tree: bool) -> int:
 class RollCall:
     """Who of the team is alive, as far as one robot at the start can tell.
 
-    A robot that finds nothing to do at the start waits until everybody alive stands there. A bouncing
-    robot stands there too, but is gone by the next round: so the roll must be full twice running.
+    A robot that finds nothing to do at the start waits until everybody alive stands there. A
+    bouncing robot stands there too, but is gone by the next round: so the roll must be full twice
+    running.
     """
 
     def __init__(self, body: Body) -> None:
@@ -233,7 +234,7 @@ class RollCall:
         self.fresh_loss = not body.briefing.blank_tags  # marks of robots that are not here
 
     def hear(self, here: Sight) -> None:
-        """Take in who was lost. Each sight must be heard once: it counts for the epoch it falls in."""
+        """Take in who was lost. Each sight is heard once: it counts for the epoch it falls in."""
         if here.losses:
             self._lost.update(here.losses)
             self.fresh_loss = True

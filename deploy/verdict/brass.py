@@ -80,9 +80,10 @@ class Brass:
             ("succeeds while one robot is left", "Sec. VI", self._survives_losses()),
         )
         judged = []
-        for name, number, (holds, detail) in claims:
-            if status == "unfinished" and holds is False and number not in BROKEN_FOR_GOOD:
-                holds, detail = None, f"not over yet: {detail}"
+        for name, number, (found, why) in claims:
+            holds, detail = found, why
+            if status == "unfinished" and found is False and number not in BROKEN_FOR_GOOD:
+                holds, detail = None, f"not over yet: {why}"
             judged.append(Guarantee(name, f"Brass et al. 2011, {number}", holds, detail))
         return judged
 

@@ -1,6 +1,7 @@
 """The result of a run: what `canopy run --json` prints, and the exit code that follows from it."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import dropwhile
 from typing import Literal
 
 from msgspec import Struct
@@ -14,6 +15,9 @@ from protocol.trace import Observer
 
 MONITORS: dict[str, tuple[Callable[[Scenario, Ledger], Monitor], ...]] = {"mr-dfs": (Brass,)}
 """The monitors of each algorithm of Canopy; those of users have the common guarantees."""
+
+TRACEBACK = "Traceback (most recent call last):"
+"""What a traceback begins with; all its lines are indented, and the error follows."""
 
 
 class RobotResult(Struct, frozen=True, kw_only=True):
@@ -237,10 +241,22 @@ def _robots(ledger: Ledger) -> list[RobotResult]:
 def _errors(refusals: Mapping[int, Refusal], failures: Mapping[int, str]) -> list[RobotError]:
     errors = [RobotError(robot, told.error, told.detail) for robot, told in refusals.items()]
     for robot, traceback in failures.items():
-        last = traceback.strip().rpartition("\n")[2]
-        error, _, detail = last.partition(": ")
-        errors.append(RobotError(robot, error, detail, traceback))
+        errors.append(RobotError(robot, *_last_words(traceback), traceback))
     return sorted(errors, key=lambda error: error.robot)
+
+
+def _last_words(text: str) -> tuple[str, str]:
+    """Return the name of the error that a text ends with, and its message as one line.
+
+    What a robot printed may stand before its traceback.
+    """
+    lines = text.strip().splitlines() or [""]
+    said = lines[-1:]
+    for index, line in enumerate(lines):
+        if line == TRACEBACK:
+            said = list(dropwhile(lambda line: line.startswith("  "), lines[index + 1 :])) or said
+    error, _, message = said[0].partition(": ")
+    return error, " ".join(filter(None, map(str.strip, [message, *said[1:]])))
 
 
 def _not_struck(faults: Sequence[Fault], ledger: Ledger) -> list[str]:

@@ -164,7 +164,7 @@ class _Graphml:
             LookupError: If it names an encoding that does not exist.
             ValueError: If it names an encoding that expat cannot use.
         """
-        self._parser.Parse(data, True)  # noqa: FBT003  the C function takes no keywords
+        self._parser.Parse(data, True)
         if not self._graphs:
             raise self._error("found no <graph> element, expected one")
 
