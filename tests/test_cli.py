@@ -273,6 +273,7 @@ def test_refusals_of_other_commands(tmp_path: Path):
 def test_a_port_in_use_is_refused(scenario: Path):
     watch = Watch(scenario.parent)
     with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         taken.bind(("127.0.0.1", free_port()))
         taken.listen()
         port = str(taken.getsockname()[1])
