@@ -8,14 +8,12 @@ it lost; 4 the world refused a request; 5 it was told to end.
 
 import argparse
 import asyncio
-import os
 import sys
 import traceback
 
 from agents.body import Body, Driver
 from agents.registry import algorithm_of
 from protocol.errors import (
-    CanopyError,
     FencedError,
     JoinError,
     OutcomeUnknownError,
@@ -24,7 +22,14 @@ from protocol.errors import (
 )
 from protocol.lifeline import tie_to_supervisor
 from protocol.messages import Refusal, Sight, Stopped
-from protocol.zenoh_link import Link, LinkConfig, RobotLine, credentials_of, run_beside_loop
+from protocol.zenoh_link import (
+    Link,
+    LinkConfig,
+    RobotLine,
+    credentials_of,
+    run_beside_loop,
+    run_process,
+)
 
 STOPPED, FAILED, NOT_JOINED, FENCED, REFUSED, TOLD_TO_END = range(6)
 
@@ -78,11 +83,8 @@ async def _main(arguments: argparse.Namespace) -> int:
         except (JoinError, OutcomeUnknownError) as error:
             print(f"JoinError: {error}", file=sys.stderr)
             return NOT_JOINED
-        try:
-            return await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
-        except RunError as error:
-            print(f"robot {arguments.robot}: {error}", file=sys.stderr)
-            return TOLD_TO_END
+        code = await run_beside_loop(link, lambda: live(line), tick=line.repeat_if_due)
+    return TOLD_TO_END if code is None else code
 
 
 def main() -> None:
@@ -95,13 +97,7 @@ def main() -> None:
     parser.add_argument("--robot", type=int, required=True, help="the identity to join under")
     parser.add_argument("--patience", type=float, default=5.0, help="seconds of silence allowed")
     arguments = parser.parse_args()
-    code = NOT_JOINED
-    try:
-        code = asyncio.run(_main(arguments))
-    except CanopyError as error:
-        print(f"robot {arguments.robot}: {error}", file=sys.stderr)
-    sys.stderr.flush()
-    os._exit(code)  # the step thread may still block in Zenoh
+    run_process(f"robot {arguments.robot}", _main(arguments))
 
 
 if __name__ == "__main__":

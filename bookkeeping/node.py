@@ -4,9 +4,6 @@ python -m bookkeeping.node DATABASE --run RUN --port PORT --capacity-bytes N [--
 """
 
 import argparse
-import asyncio
-import contextlib
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,7 @@ from typing import Any
 from bookkeeping.sqlite_store import SqliteStore
 from bookkeeping.store import Store
 from protocol.codec import decoder_of, encode
-from protocol.errors import CanopyError, MessageError, RunError, StoreError
+from protocol.errors import MessageError, StoreError
 from protocol.lifeline import tie_to_supervisor
 from protocol.messages import (
     SCHEMA_VERSION,
@@ -28,7 +25,7 @@ from protocol.messages import (
     ReadTagsReply,
     StoreRefusal,
 )
-from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop
+from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop, run_process
 
 
 def respond(store: Store, request: AnyStoreRequest) -> AnyStoreReply:
@@ -74,8 +71,7 @@ async def _main(arguments: argparse.Namespace) -> None:
         config = LinkConfig(
             arguments.run, arguments.port, credentials=credentials_of("bookkeeping")
         )
-        # A RunError says that we are told to end.
-        with Link(config) as link, contextlib.suppress(RunError):
+        with Link(config) as link:
             await run_beside_loop(link, lambda: serve(link, store))
 
 
@@ -91,14 +87,7 @@ def main() -> None:
     parser.add_argument("--keep-tags", action="store_true", help="start on an earlier run's tags")
     parser.add_argument("--durability", choices=("process", "power"), default="process")
     arguments = parser.parse_args()
-    code = 0
-    try:
-        asyncio.run(_main(arguments))
-    except CanopyError as error:
-        print(f"bookkeeping: {error}", file=sys.stderr)
-        code = 2
-    sys.stderr.flush()
-    os._exit(code)  # the step thread may still block in Zenoh
+    run_process("bookkeeping", _main(arguments))
 
 
 if __name__ == "__main__":

@@ -5,14 +5,11 @@ python -m deploy.router RUN_DIR --run RUN --port PORT --robots N
 
 import argparse
 import asyncio
-import os
 import signal
-import sys
 from pathlib import Path
 
-from protocol.errors import CanopyError
 from protocol.lifeline import tie_to_supervisor
-from protocol.zenoh_link import Link, LinkConfig
+from protocol.zenoh_link import Link, LinkConfig, run_process
 
 
 async def _main(arguments: argparse.Namespace) -> None:
@@ -38,14 +35,7 @@ def main() -> None:
     parser.add_argument("--run", required=True, help="name of the run")
     parser.add_argument("--port", type=int, required=True, help="port to listen on")
     parser.add_argument("--robots", type=int, required=True, help="number of robots")
-    code = 0
-    try:
-        asyncio.run(_main(parser.parse_args()))
-    except CanopyError as error:
-        print(f"router: {error}", file=sys.stderr)
-        code = 2
-    sys.stderr.flush()
-    os._exit(code)
+    run_process("router", _main(parser.parse_args()))
 
 
 if __name__ == "__main__":

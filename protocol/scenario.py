@@ -135,6 +135,8 @@ class NetworkSection(Section, frozen=True, kw_only=True):
 
     router: Literal["embedded", "separate"] = "embedded"  #: In the world server, or a process.
     port: Annotated[int, Meta(ge=0, le=65535)] = 0  #: Port on loopback; 0: a free one is chosen.
+    join_patience_s: Annotated[float, Meta(ge=1)] = 60.0
+    #: A robot that has not joined this long after the last one that did is lost.
     patience_s: Annotated[float, Meta(ge=1)] = 5.0  #: A silent robot is lost after this time.
 
 

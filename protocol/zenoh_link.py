@@ -19,16 +19,18 @@ import json
 import os
 import signal
 import socket
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, Self, TypeVar
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from typing import Any, Literal, NoReturn, Self, TypeVar
 
 import zenoh
 from msgspec import Struct
 
 from protocol.codec import decoder_of, encode
 from protocol.errors import (
+    CanopyError,
     FencedError,
     JoinError,
     MachineError,
@@ -343,23 +345,25 @@ async def run_beside_loop(
     *,
     every_s: float = 0.1,
     tick: Callable[[], None] | None = None,
-) -> T:
+) -> T | None:
     """Run blocking ``work`` in a thread beside the event loop, and close the link at the end.
 
     SIGTERM closes the link, which releases ``work``. ``tick`` is called by the clock, every
     ``every_s``, whatever the queues do.
 
+    Returns:
+        What ``work`` returns; ``None`` if the process was told to end first.
+
     Raises:
-        RunError: If the link was closed before the work was done.
         Exception: Whatever ``work`` raises.
     """
     loop = asyncio.get_running_loop()
-    done: asyncio.Future[T] = loop.create_future()
+    done: asyncio.Future[T | None] = loop.create_future()
 
     def finish(result: T | None, error: BaseException | None) -> None:
         if not done.done():
             if error is None:
-                done.set_result(result)  # type: ignore[arg-type]
+                done.set_result(result)
             else:
                 done.set_exception(error)
 
@@ -371,22 +375,34 @@ async def run_beside_loop(
         else:
             loop.call_soon_threadsafe(finish, result, None)
 
-    def told_to_end() -> None:
-        finish(None, RunError("told to end"))
-
     def tick_again() -> None:
         # A bare timer: with many processes on few cores a heavier one shows in the throughput.
         if tick is not None and not done.done():
             loop.call_later(every_s, tick_again)
             tick()
 
-    loop.add_signal_handler(signal.SIGTERM, told_to_end)
+    loop.add_signal_handler(signal.SIGTERM, finish, None, None)
     threading.Thread(target=body, daemon=True, name="step").start()
     loop.call_later(every_s, tick_again)
     try:
         return await done
     finally:
         link.close()
+
+
+def run_process(name: str, main: Coroutine[Any, Any, int | None]) -> NoReturn:
+    """Run the shell of a process to its end and exit.
+
+    An error of ours is one line on stderr and exit code 2: starting the process again would not
+    help. The exit is hard, because the step thread may still block in Zenoh.
+    """
+    code: int | None = 2
+    try:
+        code = asyncio.run(main)
+    except CanopyError as error:
+        sys.stderr.write(f"{name}: {error}\n")
+    sys.stderr.flush()
+    os._exit(code or 0)
 
 
 def free_port(port: int = 0) -> int:

@@ -204,6 +204,24 @@ def test_a_robot_that_stays_frozen_does_not_outlive_the_run(tmp_path: Path):
     watch.nothing_left()
 
 
+@pytest.mark.slow
+def test_a_robot_that_freezes_before_it_joins_is_lost_in_the_end(tmp_path: Path):
+    scenario = cave_of(tmp_path, robots=3)
+    watch = Watch(tmp_path)
+    with started_cli(
+        *(scenario, "--json", "--no-picture", "--set", "network.join_patience_s=10"),
+        cwd=tmp_path,
+        folder=tmp_path / "run",
+        environment=watch.environment,
+    ) as run:
+        until(lambda: "robot:2" in run.living(), "start of robot 2", run.process)
+        send(run.living()["robot:2"], signal.SIGSTOP)
+        said = run.finish()
+    assert said.code == 0, said
+    assert (said.result["complete"], said.result["robots_lost"]) == (True, [2])
+    watch.nothing_left()
+
+
 def losses(folder: Path) -> set[int]:
     """Return the robots that the journal takes for lost so far."""
     lost: set[int] = set()

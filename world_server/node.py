@@ -9,18 +9,17 @@ beside it keeps the time: it wakes the step thread now and then, for what must b
 """
 
 import argparse
-import asyncio
-import os
 import secrets
 import sys
 import threading
 import time
 from collections import deque
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
 from protocol.codec import decoder_of, encode
-from protocol.errors import CanopyError, FencedError, MessageError, RunError, StoreError
+from protocol.errors import FencedError, MessageError, RunError, StoreError
 from protocol.lifeline import tie_to_supervisor
 from protocol.messages import (
     SCHEMA_VERSION,
@@ -44,7 +43,7 @@ from protocol.messages import (
     TagWrite,
 )
 from protocol.trace import LossCause, TraceDigest
-from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop
+from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop, run_process
 from world_server import world as core
 from world_server.journal import Closing, Incarnation, Joined, Journal, OldTags, WaveRecord, scan
 from world_server.replay import Replayed, replay
@@ -99,7 +98,7 @@ class WorldNode:
         self._journal = Journal(path, self._scenario.durability)
         self._journal.append(Incarnation(self._incarnation))
         self._journal_lock = threading.Lock()
-        self._started = time.monotonic()
+        self._started = self._last_join = time.monotonic()
         # What was heard and is not yet part of an input.
         self._missing: set[int] = set()
         self._new_losses: dict[int, LossCause] = {}
@@ -193,6 +192,7 @@ class WorldNode:
                 seat.nonce = nonce
                 self._declare(robot, seat)
                 seat.process = join.process
+                self._last_join = time.monotonic()
         return encode(core.briefing(self._scenario, robot, seat.nonce))
 
     def _token_changed(self, key: str, alive: bool) -> None:  # noqa: FBT001  called by the link
@@ -415,8 +415,14 @@ class WorldNode:
                 self._heard_dead(robot)
         if self._has_store:
             self._send_batches()
-        if time.monotonic() >= self._next_progress:
-            self._next_progress = time.monotonic() + PROGRESS_S
+        now = time.monotonic()
+        if now >= self._last_join + self._scenario.network.join_patience_s:
+            self._last_join = inf
+            for robot, seat in enumerate(self._seats):
+                if not seat.process:
+                    self._heard_dead(robot)
+        if now >= self._next_progress:
+            self._next_progress = now + PROGRESS_S
             self._put_report(encode(self._world.progress()))
 
     # The store.
@@ -474,14 +480,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, required=True, help="number of robots")
     parser.add_argument("--router", choices=("embedded", "separate"), default="embedded")
     arguments = parser.parse_args()
-    code = 0
-    try:
-        asyncio.run(_main(arguments))
-    except CanopyError as error:
-        print(f"world: {error}", file=sys.stderr)
-        code = 2
-    sys.stderr.flush()
-    os._exit(code)  # the step thread may still block in Zenoh
+    run_process("world", _main(arguments))
 
 
 if __name__ == "__main__":
