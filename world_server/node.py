@@ -42,7 +42,7 @@ from protocol.messages import (
     Stopped,
     TagWrite,
 )
-from protocol.trace import LossCause, TraceDigest
+from protocol.trace import Event, LossCause, TraceDigest
 from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loop, run_process
 from world_server import world as core
 from world_server.journal import Closing, Incarnation, Joined, Journal, OldTags, WaveRecord, scan
@@ -89,6 +89,7 @@ class WorldNode:
         self._store = WriteBehind(self._incarnation)
         self._wave_number = 1
         self._digest = TraceDigest()
+        self._events: list[Event] = []  # applied, and not yet digested
         recovered = self._recover(path)
         self._scenario = recovered.scenario
         self._world = recovered.world
@@ -135,13 +136,14 @@ class WorldNode:
             nonlocal waves
             waves += 1
             self._wave_number = waves  # as when it was played: its writes are noted under it
+            self._digest_events()
 
         def note_joined(record: Joined) -> None:
             joined[record.robot] = record
 
         recovered = replay(
             path,
-            observe=self._digest,
+            observe=self._events.append,
             on_write=self._note_write,
             on_wave=note_wave,
             on_joined=note_joined,
@@ -232,6 +234,7 @@ class WorldNode:
                 output = self._world.resume(self._read_old_tags(output.places))
             if self._world.refusals:
                 self._tell_refused()
+        self._digest_events()
         self._store.flush()
         self._send_batches()
         self._await(lambda: not self._has_store or self._store.idle, self._send_batches)
@@ -256,6 +259,10 @@ class WorldNode:
                 self._reply(robot, sight)
             if robot not in self._new_losses:
                 missing.add(robot)
+        # While the robots think: what no reply depends on.
+        self._digest_events()
+        if self._has_store:
+            self._send_batches()
         while missing:
             self._hear()
         lost: tuple[tuple[int, LossCause], ...] = ()
@@ -278,9 +285,12 @@ class WorldNode:
         for robot, _ in lost:
             if robot in self._told:
                 self._reply(robot, self._told[robot])
-        if self._has_store:
-            self._send_batches()
         return output
+
+    def _digest_events(self) -> None:
+        for event in self._events:
+            self._digest(event)
+        self._events.clear()
 
     def _tell_refused(self) -> None:
         """Tell each robot that broke a rule, in the last wave or by one round too many."""
