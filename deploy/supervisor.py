@@ -27,7 +27,7 @@ class Supervisor:
     """All processes of one run.
 
     Attributes:
-        restarts: how often each piece of infrastructure was started again.
+        restarts: how often each piece of infrastructure was started again, 0 included.
     """
 
     def __init__(self, logs: Path, changed: Callable[[Mapping[str, int]], None]) -> None:
@@ -63,6 +63,8 @@ class Supervisor:
             restart: start it again when it dies.
             ended: called with the exit code each time it ends.
         """
+        if restart:
+            self.restarts.setdefault(name, 0)
         with (self._logs / f"{name.replace(':', '-')}.log").open("ab") as log:
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
@@ -86,7 +88,7 @@ class Supervisor:
             if ended is not None:
                 ended(code)
             if restart:
-                self.restarts[name] = self.restarts.get(name, 0) + 1
+                self.restarts[name] += 1
                 if self.restarts[name] > RESTARTS_MAX:
                     self._fail(f"{name} died {RESTARTS_MAX + 1} times{self._last_words(name)}")
                     return

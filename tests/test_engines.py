@@ -27,7 +27,7 @@ def same_on_both(setting: Setting, folder: Path) -> Run:
     assert by_processes.trace_sha256 == alone.trace_sha256
     assert by_processes.status == alone.status
     assert by_processes.failures.keys() == alone.failures.keys()
-    assert by_processes.restarts == {}
+    assert not any(by_processes.restarts.values())
     judged = [judge_journal(run.folder.journal).result for run in (alone, by_processes)]
     assert judged[0].per_robot == judged[1].per_robot
     assert judged[0].faults_not_struck == judged[1].faults_not_struck
@@ -112,7 +112,7 @@ def test_a_separate_router_and_flushing_change_no_trace(tmp_path: Path):
     for fields in ({"network": {"router": "separate"}}, {"durability": "power"}):
         run = play(setting_of(SMALL, 3, **fields), tmp_path, "processes")
         assert run.trace_sha256 == plain.trace_sha256
-        assert run.restarts == {}
+        assert not any(run.restarts.values())
 
 
 def test_places_without_devices_have_one_trace(tmp_path: Path):

@@ -120,7 +120,7 @@ def check_kills_by_hand(seed: int, folder: Path) -> None:
     assert said.result["complete"] is True
     assert said.result["robots_lost"] == sorted(victims)
     assert {robot["lost_by"] for robot in said.result["per_robot"]} == {None, "killed"}
-    assert said.result["restarts"] == {}
+    assert not any(said.result["restarts"].values())
     watch.nothing_left()
     assert not (run.folder / "processes.json").exists()
     assert not (run.folder / "users").exists()
@@ -316,7 +316,7 @@ def test_infrastructure_that_dies_is_started_again(victim: str, tmp_path: Path):
         send(pids[victim], signal.SIGKILL)
         said = run.finish()
     assert said.code == 0, said
-    assert said.result["restarts"] == {victim: 1}
+    assert said.result["restarts"] == {"world": 0, "bookkeeping": 0, victim: 1}
     assert said.result["trace_sha256"] == plain.result["trace_sha256"]
     watch.nothing_left()
 
