@@ -499,8 +499,10 @@ class World:
                 body.state = UNDER_WAY
                 exit_ = request.exit  # type: ignore[union-attr]
                 duration = tick or self._move_duration(body.robot, place, exit_)
-                # However short a way is, one arrives later.
-                body.due = arrival = max(time + duration, nextafter(time, inf))
+                arrival = time + duration
+                if arrival <= time:  # however short a way is, one arrives later
+                    arrival = nextafter(time, inf)
+                body.due = arrival
                 if arrival != due or agenda is None:  # in lockstep all arrive together
                     due, agenda = arrival, self._agenda.at(arrival)
                 agenda.append(body)
