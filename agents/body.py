@@ -7,7 +7,7 @@ await is one request: one message on the wire, one line of the trace, one possib
 from collections.abc import Callable, Coroutine, Generator
 from traceback import walk_tb
 from types import coroutine
-from typing import get_args
+from typing import Any, get_args
 
 from protocol.errors import AlgorithmError
 from protocol.messages import (
@@ -25,7 +25,7 @@ from protocol.messages import (
 )
 from protocol.seeds import Stream, spawn
 
-Ask = Generator[AnyRequest, Sight, Sight]
+Ask = Generator[AnyRequest, Any, Any]
 """What every method of a Body returns: to be awaited, and answered with what the robot sees next."""
 
 
@@ -48,9 +48,13 @@ class Body:
         self.rng: Stream = spawn(briefing.seed, "robot", briefing.robot)
 
     @coroutine
-    def look(self) -> Ask:
-        """See this place (free)."""
-        return (yield Look())
+    def look(self, *, gaze: int | None = None, messages: tuple[bytes, ...] = ()) -> Ask:
+        """See this place (free).
+
+        ``gaze`` is the direction to look in, on a grid.
+        """
+        _check(None, messages)
+        return (yield Look(None, messages, gaze))
 
     @coroutine
     def write(self, tag: bytes, messages: tuple[bytes, ...] = ()) -> Ask:
@@ -66,20 +70,34 @@ class Body:
 
     @coroutine
     def move(
-        self, exit_: int, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
+        self,
+        exit_: int,
+        *,
+        gaze: int | None = None,
+        tag: bytes | None = None,
+        messages: tuple[bytes, ...] = (),
     ) -> Ask:
-        """Write the tag if one is given, leave by port ``exit_`` and arrive (one move)."""
+        """Write the tag if one is given, leave by port ``exit_`` and arrive (one move).
+
+        ``gaze`` is the direction to look in there, on a grid.
+        """
         if exit_.__class__ is not int or not -EXIT_MAX < exit_ < EXIT_MAX:
             raise AlgorithmError(f"move by exit {exit_!r}; expected the number of a port")
         if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:
             _check(tag, messages)
-        return (yield Move(tag, messages, exit_))
+        return (yield Move(tag, messages, exit_, gaze))
 
     @coroutine
-    def wait(self, duration: float = 1.0, *, tag: bytes | None = None) -> Ask:
+    def wait(
+        self,
+        duration: float = 1.0,
+        *,
+        tag: bytes | None = None,
+        messages: tuple[bytes, ...] = (),
+    ) -> Ask:
         """Stay for ``duration`` time units (that many ticks in lockstep)."""
-        _check(tag, ())
-        return (yield Wait(tag, (), _time(duration)))
+        _check(tag, messages)
+        return (yield Wait(tag, messages, _time(duration)))
 
     @coroutine
     def wait_for_news(

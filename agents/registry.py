@@ -13,17 +13,33 @@ from typing import Any, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from agents.algorithms import mr_dfs
+from agents.algorithms import mr_dfs, ormstc
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
 from protocol.scenario import OptionValue
 
-ALGORITHMS = {"mr-dfs": mr_dfs.mr_dfs}
+ALGORITHMS: dict[str, Any] = {"mr-dfs": mr_dfs.mr_dfs, "ormstc": ormstc.ormstc}
 """The algorithms of Canopy by name."""
 
 TAG_BYTES = {"mr-dfs": mr_dfs.tag_bytes}
 """The size of a tag, for those that use devices: of degree, team size and tree version."""
+
+GRID_ALGORITHMS = frozenset({"ormstc"})
+"""Those that play on grids; the others of Canopy play on graphs, those of users on both."""
+
+ASSUMED = {
+    "ormstc": {"radio.reach": "global", "sensing.mode": "ahead"},
+}
+"""What an algorithm's paper assumes, for fields that a scenario leaves out."""
+
+CELL_ALGORITHMS = frozenset({"ormstc"})
+"""Those that cover complete coarse cells only."""
+
+
+def plain_name(name: str) -> str:
+    """Return the name of an algorithm as the tables here spell it."""
+    return name.lower().replace("_", "-")
 
 
 def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
@@ -32,7 +48,7 @@ def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
     Raises:
         ScenarioError: If there is no such algorithm, or the options are not its own.
     """
-    function: Any = ALGORITHMS.get(name.lower().replace("_", "-")) or _of_user(name)
+    function: Any = ALGORITHMS.get(plain_name(name)) or _of_user(name)
     if not inspect.iscoroutinefunction(function):
         raise ScenarioError(f"field `algorithm`: {name!r} is no `async def` function")
     parameters = list(inspect.signature(function).parameters.values())
@@ -89,13 +105,13 @@ def tag_bytes_max(name: str, options: dict[str, OptionValue], degree: int, team_
 
     0 for an algorithm of a user, whose tags we cannot know.
     """
-    sizes = TAG_BYTES.get(name.lower().replace("_", "-"))
+    sizes = TAG_BYTES.get(plain_name(name))
     return 0 if sizes is None else sizes(degree, team_size, tree=options.get("version") == "tree")
 
 
 def tag_format(name: str, options: dict[str, OptionValue], team_size: int) -> str:
     """Name the format of an algorithm's tags: only a run of the same format can read them."""
-    known = name.lower().replace("_", "-")
+    known = plain_name(name)
     if known not in TAG_BYTES:
         return name
     return f"{known}, {options.get('version', 'graph')} version, {team_size} robots"

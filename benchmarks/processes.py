@@ -24,7 +24,7 @@ from protocol.messages import AnyRequest, Batch, NumberedReply, NumberedRequest,
 from protocol.scenario import from_tree
 from world_server.replay import replay
 from world_server.terrain import GraphTerrain
-from world_server.world import Answers, Wave, World, briefing
+from world_server.world import Answers, Wave, World
 
 RADIUS = {1: 4, 4: 4, 16: 5, 64: 5}
 """Radius of the 7-ary tree for each team, so that each run takes seconds."""
@@ -52,7 +52,7 @@ def recorded(setting: Setting) -> tuple[list[floor.Exchange], list[list[int]], i
         on_write=lambda place, revision, tag: writes.append(TagWrite(place, revision, tag)),
     )
     drivers = [
-        Driver(setting.algorithm, Body(briefing(setting.scenario, robot)))
+        Driver(setting.algorithm, Body(world.briefing(robot)))
         for robot in range(robots)
     ]
     seq = [0] * robots

@@ -119,11 +119,25 @@ def _parser() -> argparse.ArgumentParser:
     map_ = commands.add_parser(
         "map",
         help="say what a map file is, and draw it",
-        description="Read a map (.edges, GraphML, node-link JSON), describe it and draw it.",
+        description=(
+            "Read a map, describe it and draw it. Graphs: .edges, GraphML, node-link JSON. "
+            "Grids: MovingAI .map, ROS map_server .yaml, images, .txt of . and #."
+        ),
     )
     map_.add_argument("file", type=Path, metavar="FILE", help="the map")
+    map_.add_argument(
+        "--cell-m", type=float, metavar="M", help="side of a sub-cell of a grid (its resolution)"
+    )
+    map_.add_argument(
+        "--resolution-m", type=float, metavar="M", help="side of a pixel or character of a grid"
+    )
     map_.add_argument("--json", action="store_true", help="print the facts as one JSON object")
-    map_.add_argument("--picture", type=Path, metavar="PNG", help="where to draw (NAME.png here)")
+    map_.add_argument(
+        "--picture",
+        type=Path,
+        metavar="PNG",
+        help="where to draw (NAME.png here; NAME-map.png if the map is an image)",
+    )
     map_.set_defaults(command=_map)
 
     doctor = commands.add_parser("doctor", help="check this machine, and list the algorithms")
@@ -135,7 +149,7 @@ def _run(arguments: argparse.Namespace) -> int:
     import msgspec  # here as everywhere below, so that `main` can name a package that is missing
 
     from deploy.judged import draw, judge_journal
-    from deploy.report import Display, print_verdict
+    from deploy.report import Display, print_verdict, size_of
     from deploy.run_dir import RunDir
     from deploy.setting import prepare
     from deploy.verdict.result import exit_code
@@ -162,14 +176,14 @@ def _run(arguments: argparse.Namespace) -> int:
         free_port(scenario.network.port)  # refuse before anything is made
     run_dir = RunDir.create(arguments.out, scenario.name)
     name = f"{run_dir.path.name}-{uuid.uuid4().hex[:12]}".replace(" ", "-")
-    places, robots = len(setting.graph.names), scenario.team.robots
+    robots = scenario.team.robots
     restarts: dict[str, int] = {}
     failures: dict[int, str] = {}
     started = time.monotonic()
-    with Display(places, robots) as display:
+    with Display(setting.to_cover, robots) as display:
         display.say(
-            f"{scenario.name}: {scenario.algorithm}, {robots} robots, {places} vertices, "
-            f"{len(setting.graph.ends)} edges, engine {arguments.engine}"
+            f"{scenario.name}: {scenario.algorithm}, {robots} robots, {size_of(setting)}, "
+            f"engine {arguments.engine}"
         )
         for note in setting.notes:
             display.say(f"  {note}")
@@ -232,14 +246,24 @@ def _map(arguments: argparse.Namespace) -> int:
     import msgspec
 
     from deploy.map_facts import describe, facts_of
-    from deploy.picture import draw_map
-    from world_server.maps import read_graph
+    from world_server.maps import GridFile, read_map
 
-    graph = read_graph(arguments.file)
-    facts = facts_of(arguments.file, graph)
-    picture = arguments.picture or Path(f"{arguments.file.stem}.png")
+    found = read_map(arguments.file, cell_m=arguments.cell_m, resolution_m=arguments.resolution_m)
+    facts = facts_of(arguments.file, found)
+    # A map that is an image, or has one beside it, must not be drawn over.
+    is_image = isinstance(found, GridFile) and found.kind in {"image", "ros"}
+    picture = arguments.picture or Path(f"{arguments.file.stem}{'-map' * is_image}.png")
     try:
-        draw_map(graph, picture, arguments.file.stem, 0)
+        if picture.exists() and picture.samefile(arguments.file):
+            raise InputError(f"--picture {picture}: is the map itself, expected another file")
+        if isinstance(found, GridFile):
+            from deploy.picture_grid import draw_grid
+
+            draw_grid(found.grid, picture, arguments.file.stem)
+        else:
+            from deploy.picture import draw_map
+
+            draw_map(found, picture, arguments.file.stem, 0)
     except (OSError, ValueError) as error:
         raise InputError(f"--picture {picture}: {error}") from None
     if arguments.json:

@@ -13,7 +13,7 @@ from protocol.messages import AnyRequest, Batch, Progress, TagWrite
 from protocol.scenario import Scenario, to_tree
 from protocol.trace import LossCause, TraceDigest
 from world_server.journal import Closing, Journal, OldTags, WaveRecord, opening
-from world_server.terrain import GraphTerrain
+from world_server.terrain import terrain_of
 from world_server.world import (
     Answers,
     End,
@@ -22,7 +22,6 @@ from world_server.world import (
     TagsWanted,
     Wave,
     World,
-    briefing,
 )
 
 SHOW_S = 0.1
@@ -58,7 +57,7 @@ def play(
         How it ended, and for each robot whose algorithm failed the text of its exception.
     """
     robots = range(scenario.team.robots)
-    drivers = [Driver(algorithm, Body(briefing(scenario, robot))) for robot in robots]
+    drivers = [Driver(algorithm, Body(world.briefing(robot))) for robot in robots]
     send = [driver.send for driver in drivers]
     resume = world.resume
     failures: dict[int, str] = {}
@@ -144,8 +143,8 @@ def run(
             stack.enter_context(_store(setting, run_dir, name)) if _has_store(scenario) else None
         )
         journal = stack.enter_context(closing(Journal(run_dir.journal, scenario.durability)))
-        journal.append(opening(name, "inprocess", to_tree(scenario), setting.graph, setting.starts))
-        terrain = GraphTerrain(setting.graph)
+        journal.append(opening(name, "inprocess", to_tree(scenario), setting.ground, setting.starts))
+        terrain = terrain_of(setting.ground, scenario)
         world = World(scenario, terrain, setting.starts, observe=digest, on_write=note)
         end, failures = play(scenario, world, setting.algorithm, record, read)
         if store is not None and written:
@@ -157,7 +156,7 @@ def run(
 
 
 def _has_store(scenario: Scenario) -> bool:
-    return scenario.device.capacity_bytes > 0
+    return scenario.device.capacity > 0
 
 
 def _store(setting: Setting, run_dir: RunDir, name: str) -> SqliteStore:
@@ -166,7 +165,7 @@ def _store(setting: Setting, run_dir: RunDir, name: str) -> SqliteStore:
     return SqliteStore(
         scenario.bookkeeping.database or run_dir.database,
         run=name,
-        capacity_bytes=scenario.device.capacity_bytes,
+        capacity_bytes=scenario.device.capacity,
         fresh=scenario.bookkeeping.fresh,
         durability=scenario.durability,
         tag_format=tag_format_of(scenario),

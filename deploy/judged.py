@@ -6,8 +6,11 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from deploy.verdict.ledger import Ledger
-from deploy.verdict.result import Result, judge, monitors_of, observers
+from deploy.verdict.agmon import Agmon
+from deploy.verdict.coverage import AnyLedger
+from deploy.verdict.grid_ledger import GridLedger
+from deploy.verdict.guarantees import Monitor
+from deploy.verdict.result import Result, judge, ledger_of, monitors_of, observers
 from protocol.trace import Event
 from world_server.replay import Replayed, read_opening, replay
 from world_server.world import End
@@ -19,11 +22,13 @@ class Judged(Struct):
     Attributes:
         result: the verdict.
         ledger: what was counted.
+        monitors: what judged the claims of the algorithm's paper.
         replayed: the run.
     """
 
     result: Result
-    ledger: Ledger
+    ledger: AnyLedger
+    monitors: list[Monitor]
     replayed: Replayed
 
 
@@ -52,7 +57,7 @@ def judge_journal(
     """
     first = read_opening(journal)
     scenario = first.checked_scenario()
-    ledger = Ledger(first.graph(), first.starts, scenario)
+    ledger = ledger_of(first.ground.restored(), first.starts, scenario)
     monitors = monitors_of(scenario, ledger)
     observe = observers(ledger, monitors)
     if also is not None:
@@ -78,26 +83,58 @@ def judge_journal(
         failures=failures,
         restarts=restarts,
     )
-    return Judged(result, ledger, replayed)
+    return Judged(result, ledger, monitors, replayed)
 
 
 def draw(judged: Judged, path: Path) -> None:
     """Draw who visited what, and when."""
+    result, ledger = judged.result, judged.ledger
+    title = f"{result.scenario}: {result.algorithm} with {result.robots} robots"
+    end = "not over" if result.makespan is None else f"makespan {result.makespan:g}"
+    subtitle = (
+        f"{result.covered} of {result.to_cover} {ledger.units}, "
+        f"coverage time {result.coverage_time:g}, {end}"
+    )
+    if isinstance(ledger, GridLedger):
+        _draw_grid(judged, ledger, path, title, subtitle)
+        return
     from deploy.picture import draw_run  # matplotlib is slow to import
 
-    result, ledger = judged.result, judged.ledger
-    end = "not over" if result.makespan is None else f"makespan {result.makespan:g}"
     draw_run(
         ledger.graph,
         path,
-        title=f"{result.scenario}: {result.algorithm} with {result.robots} robots",
-        subtitle=(
-            f"{result.covered} of {result.to_cover} vertices, "
-            f"coverage time {result.coverage_time:g}, {end}"
-        ),
+        title=title,
+        subtitle=subtitle,
         start=ledger.starts[0],
         first_visits=ledger.first_visits,
         crossings=ledger.first_crossings,
         lost=ledger.lost,
         team_size=result.robots,
+    )
+
+
+def _draw_grid(judged: Judged, ledger: GridLedger, path: Path, title: str, subtitle: str) -> None:
+    from deploy.picture_grid import draw_grid_run
+
+    owners, edges = {}, []
+    for monitor in judged.monitors:
+        if isinstance(monitor, Agmon):
+            owners, edges = monitor.owners(), monitor.edges()
+    stopped = {}
+    for robot in judged.result.per_robot:
+        place = ledger.place(robot.id)
+        if robot.stopped_at is not None and place is not None:
+            stopped[robot.id] = place
+    draw_grid_run(
+        ledger.grid,
+        path,
+        title=title,
+        subtitle=subtitle,
+        starts=[ledger.name(start) for start in ledger.starts],
+        first_visits=ledger.first_visits,
+        owners=owners,
+        edges=edges,
+        lost=ledger.lost,
+        stopped=stopped,
+        team_size=judged.result.robots,
     )

@@ -1,13 +1,11 @@
 """Pictures of maps and of runs, as a paper could print them.
 
 A run is drawn on its map: the colour of a vertex says which robot came first, its shade when. With
-more robots than colours the shape of a vertex tells two robots of one colour apart. Figures are
-built without pyplot, which would keep every figure and share its state between callers.
+more robots than colours the shape of a vertex tells two robots of one colour apart.
 """
 
 import itertools
 import math
-import warnings
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,40 +14,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deploy.layout import Array, layout
+from deploy.picture_parts import (
+    COLOURS,
+    EARLY,
+    INK,
+    LABEL_PT,
+    LEGEND_MOST,
+    PALE,
+    RED,
+    SIZE_IN,
+    Box,
+    Entry,
+    Mark,
+    check,
+    colour,
+    legend,
+    mix,
+    new_page,
+    overlap,
+    robot_entries,
+    save,
+    time_bar,
+)
 from protocol.graph import PortGraph
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_run", "layout"]
+__all__ = ["LEGEND_MOST", "draw_map", "draw_run", "layout"]
 
-COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#e69f00",
-    "#56b4e9",
-    "#882255",
-    "#999933",
-)
-"""Told apart with any common colour blindness (mostly those of Okabe and Ito)."""
 SHAPES = ("o", "s", "D", "^")
-INK = "#222222"
-PALE = "#9a9a9a"
-EARLY = 0.12
-"""Share of its colour that the earliest vertex has; the rest is white. The latest has all."""
-SIZE_IN = (10.0, 7.0)
-DPI = 150
 MAP_BOX = (0.02, 0.03, 0.96, 0.86)
 RUN_BOX = (0.02, 0.03, 0.72, 0.86)
-LEGEND_X = 0.765
-LEGEND_MOST = 34
-"""Robots that the legend has room for."""
 WIDEST_PT = 130.0
 """Distance on paper that neighbours are drawn apart at most."""
-LABEL_PT = 8.5
 
 
 def draw_map(graph: PortGraph, path: Path, title: str, start: int | None) -> None:
@@ -66,7 +65,7 @@ def draw_map(graph: PortGraph, path: Path, title: str, start: int | None) -> Non
         OSError: If the picture cannot be written.
     """
     if start is not None:
-        _check("start", [start], len(graph.names))
+        check("start", [start], len(graph.names))
     subtitle = f"{len(graph.names)} vertices, {len(graph.ends)} edges"
     sheet = _Sheet(graph, title, subtitle, MAP_BOX)
     everything = range(len(graph.ends))
@@ -75,7 +74,7 @@ def draw_map(graph: PortGraph, path: Path, title: str, start: int | None) -> Non
     sheet.vertices(fills, dict.fromkeys(fills, "#24476b"), SHAPES[0])
     if start is not None:
         sheet.start(start)
-    sheet.save(path)
+    save(sheet.figure, path)
 
 
 def draw_run(
@@ -109,34 +108,44 @@ def draw_run(
         OSError: If the picture cannot be written.
     """
     vertices, edges = len(graph.names), len(graph.ends)
-    _check("start", [start], vertices)
-    _check("first_visits", first_visits, vertices)
-    _check("first_visits: robot", [robot for robot, _ in first_visits.values()], team_size)
-    _check("crossings", crossings, edges)
-    _check("crossings: robot", [robot for robot, _ in crossings.values()], team_size)
-    _check("lost", lost, team_size)
-    _check("lost: vertex", [v for _, v, _ in lost.values() if v is not None], vertices)
-    _check("lost: edge", [e for _, _, e in lost.values() if e is not None], edges)
+    check("start", [start], vertices)
+    check("first_visits", first_visits, vertices)
+    check("first_visits: robot", [robot for robot, _ in first_visits.values()], team_size)
+    check("crossings", crossings, edges)
+    check("crossings: robot", [robot for robot, _ in crossings.values()], team_size)
+    check("lost", lost, team_size)
+    check("lost: vertex", [v for _, v, _ in lost.values() if v is not None], vertices)
+    check("lost: edge", [e for _, _, e in lost.values() if e is not None], edges)
 
     sheet = _Sheet(graph, title, subtitle, RUN_BOX)
     sheet.edges([edge for edge in range(edges) if edge not in crossings], "#c4c4c4", 0.8)
     crossed = sorted(crossings)
-    sheet.edges(crossed, [_colour(crossings[edge][0]) for edge in crossed], 1.6)
+    sheet.edges(crossed, [colour(crossings[edge][0]) for edge in crossed], 1.6)
     unvisited = dict.fromkeys((v for v in range(vertices) if v not in first_visits), "white")
     sheet.vertices(unvisited, dict.fromkeys(unvisited, PALE), SHAPES[0])
     last = max((time for _, time in first_visits.values()), default=0.0)
     groups: dict[str, dict[int, str]] = defaultdict(dict)
     for vertex, (robot, time) in first_visits.items():
         share = time / last if last > 0 else 1.0
-        groups[_shape(robot)][vertex] = _mix(_colour(robot), EARLY + (1 - EARLY) * share)
+        groups[_shape(robot)][vertex] = mix(colour(robot), EARLY + (1 - EARLY) * share)
     for shape, fills in groups.items():
-        sheet.vertices(fills, {v: _colour(first_visits[v][0]) for v in fills}, shape)
+        sheet.vertices(fills, {v: colour(first_visits[v][0]) for v in fills}, shape)
     sheet.start(start)
     sheet.losses(lost)
     counts = Counter(robot for robot, _ in first_visits.values())
-    bottom = _legend(sheet.figure, team_size, counts, lost, unvisited=len(unvisited))
-    _time_bar(sheet.figure, bottom, last)
-    sheet.save(path)
+    lost_at = {robot: time for robot, (time, _, _) in lost.items()}
+    entries = [
+        *robot_entries(
+            team_size,
+            counts,
+            lost_at,
+            lambda robot: _mark(_shape(robot), colour(robot), colour(robot)),
+        )
+    ]
+    if unvisited:
+        entries.append(Entry("never visited", len(unvisited), mark=_mark(SHAPES[0], "white", PALE)))
+    time_bar(sheet.figure, legend(sheet.figure, "vertices", entries), last)
+    save(sheet.figure, path)
 
 
 class _Sheet:
@@ -149,9 +158,7 @@ class _Sheet:
     def __init__(
         self, graph: PortGraph, title: str, subtitle: str, box: tuple[float, float, float, float]
     ) -> None:
-        from matplotlib.figure import Figure
-
-        self.figure = Figure(figsize=SIZE_IN, dpi=DPI)
+        self.figure = new_page(title, subtitle)
         self._graph = graph
         self._points = np.array(layout(graph), dtype=np.float64)
         self._axes: Axes = self.figure.add_axes(box)
@@ -161,14 +168,7 @@ class _Sheet:
         self._diameter_pt = self._vertex_diameter()
         self._lines = _lines(graph, self._points, self._diameter_pt / self._scale_pt)
         self._marks = np.concatenate([self._points, *map(_beads, self._lines)])
-        self._taken: list[tuple[float, float, float, float]] = []
-        for text, height, size, weight, colour in (
-            (title, 0.955, 14, "bold", INK),
-            (subtitle, 0.922, 10, "normal", "#555555"),
-        ):
-            self.figure.text(
-                0.025, height, text, size=size, weight=weight, color=colour, parse_math=False
-            )
+        self._taken: list[Box] = []
 
     def edges(self, edges: Sequence[int], colours: str | Sequence[str], width: float) -> None:
         """Draw edges in colours of their own, ``width`` times as wide as usual."""
@@ -239,21 +239,14 @@ class _Sheet:
                 marker="x",
                 markersize=size_pt,
                 markeredgewidth=2.4,
-                color="#c00000",
+                color=RED,
                 path_effects=halo,
                 zorder=6,
             )
         for (x, y), robots in places.items():
             names = ", ".join(f"{robot} (t = {lost[robot][0]:g})" for robot in robots)
             noun = "robot" if len(robots) == 1 else "robots"
-            self._label(x, y, size_pt / 2, f"{noun} {names}", "#c00000")
-
-    def save(self, path: Path) -> None:
-        """Write the picture."""
-        with warnings.catch_warnings():
-            # A name in a script that the font lacks is drawn as boxes; that is no reason to fail.
-            warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
-            self.figure.savefig(path, dpi=DPI, facecolor="white")
+            self._label(x, y, size_pt / 2, f"{noun} {names}", RED)
 
     def _frame(self, box: tuple[float, float, float, float]) -> float:
         """Choose the limits of the axes; return points per unit of length."""
@@ -298,10 +291,7 @@ class _Sheet:
                 high = np.array([cx + width / 2, cy + height / 2])
                 inside = ((marks > low - 2) & (marks < high + 2)).all(axis=1).sum()
                 outside = (low < frame[:2]).any() or (high > frame[2:]).any()
-                over = sum(
-                    low[0] < east and west < high[0] and low[1] < north and south < high[1]
-                    for west, south, east, north in self._taken
-                )
+                over = overlap((low[0], low[1], high[0], high[1]), self._taken)
                 cost = float(inside) + 30.0 * over + 100.0 * bool(outside) + 0.1 * reach
                 if best is None or cost < best[0]:
                     best = cost, (float(cx), float(cy))
@@ -358,91 +348,6 @@ def _lines(graph: PortGraph, points: Array, diameter: float) -> list[Array]:
     return lines
 
 
-def _legend(
-    figure: "Figure",
-    team_size: int,
-    counts: Mapping[int, int],
-    lost: Mapping[int, tuple[float, int | None, int | None]],
-    *,
-    unvisited: int,
-) -> float:
-    """List the robots beside the map; return the height at which the list ends."""
-    height_in = SIZE_IN[1]
-    row = min(0.3, 5.0 / (min(team_size, LEGEND_MOST) + 2)) / height_in
-    size = min(9.5, row * height_in * 72 * 0.62)
-    y = 0.87
-    figure.text(LEGEND_X, y, "First visitor", size=10, weight="bold", color=INK)
-    figure.text(0.975, y, "vertices", size=9, color="#555555", ha="right")
-
-    def entry(shape: str, fill: str, rim: str, *, name: str, count: int, note: str) -> None:
-        middle = y + 0.36 * size / 72 / height_in
-        _mark(figure, middle, shape, fill, rim, size=size)
-        figure.text(LEGEND_X + 0.024, y, name, size=size, color=INK)
-        if note:
-            figure.text(LEGEND_X + 0.094, y, note, size=0.88 * size, color="#c00000")
-        figure.text(0.975, y, str(count), size=size, color=INK, ha="right")
-
-    for robot in range(min(team_size, LEGEND_MOST)):
-        y -= row
-        note = f"lost at {lost[robot][0]:g}" if robot in lost else ""
-        colour = _colour(robot)
-        entry(
-            _shape(robot),
-            colour,
-            colour,
-            name=f"robot {robot}",
-            count=counts.get(robot, 0),
-            note=note,
-        )
-    if team_size > LEGEND_MOST:
-        y -= row
-        rest = sum(counts.get(robot, 0) for robot in range(LEGEND_MOST, team_size))
-        figure.text(LEGEND_X + 0.024, y, f"{team_size - LEGEND_MOST} more", size=size, color=INK)
-        figure.text(0.975, y, str(rest), size=size, color=INK, ha="right")
-    if unvisited:
-        y -= row
-        entry(SHAPES[0], "white", PALE, name="never visited", count=unvisited, note="")
-    return y
-
-
-def _mark(figure: "Figure", y: float, shape: str, fill: str, rim: str, *, size: float) -> None:
-    """Draw a vertex in the legend."""
-    from matplotlib.lines import Line2D
-
-    figure.add_artist(
-        Line2D(
-            [LEGEND_X + 0.008],
-            [y],
-            marker=shape,
-            markersize=0.85 * size,
-            markerfacecolor=fill,
-            markeredgecolor=rim,
-            linestyle="none",
-        )
-    )
-
-
-def _time_bar(figure: "Figure", top: float, last: float) -> None:
-    """Draw the scale of shades under the legend, in grey as it holds for every colour."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    shades = [_mix("#404040", EARLY), "#404040"]
-    axes = figure.add_axes((LEGEND_X, max(0.07, top - 0.1), 0.21, 0.022))
-    axes.imshow(
-        np.linspace(0, 1, 256)[None, :],
-        aspect="auto",
-        extent=(0.0, last or 1.0, 0.0, 1.0),
-        cmap=LinearSegmentedColormap.from_list("time", shades),
-    )
-    axes.set_yticks([])
-    axes.set_title("time of first visit", size=9, color=INK, loc="left", pad=4)
-    axes.tick_params(labelsize=8, length=2.5, colors="#555555")
-    axes.locator_params(axis="x", nbins=5)
-    for spine in axes.spines.values():
-        spine.set_linewidth(0.6)
-        spine.set_color("#888888")
-
-
 def _beads(line: Array) -> Array:
     """Return points along a line, close enough that no label fits between them."""
     share = np.linspace(0, 1, 9)[1:-1, None]
@@ -464,24 +369,27 @@ def _nearest(points: Array) -> Array:
     return known
 
 
-def _colour(robot: int) -> str:
-    """Return the colour of a robot."""
-    return COLOURS[robot % len(COLOURS)]
-
-
 def _shape(robot: int) -> str:
     """Return the shape of the vertices of a robot."""
     return SHAPES[robot // len(COLOURS) % len(SHAPES)]
 
 
-def _mix(colour: str, share: float) -> str:
-    """Mix ``share`` of a colour with white."""
-    parts = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
-    return "#" + "".join(f"{round(255 + (part - 255) * share):02x}" for part in parts)
+def _mark(shape: str, fill: str, rim: str) -> Mark:
+    """Return what draws a vertex in the legend."""
 
+    def draw(figure: "Figure", x: float, y: float, size: float) -> None:
+        from matplotlib.lines import Line2D
 
-def _check(parameter: str, found: Mapping[int, object] | Sequence[int], below: int) -> None:
-    """Refuse numbers that are not of a vertex, edge or robot."""
-    for number in found:
-        if not 0 <= number < below:
-            raise ValueError(f"{parameter}: found {number}, expected 0 to {below - 1}")
+        figure.add_artist(
+            Line2D(
+                [x],
+                [y],
+                marker=shape,
+                markersize=0.85 * size,
+                markerfacecolor=fill,
+                markeredgecolor=rim,
+                linestyle="none",
+            )
+        )
+
+    return draw

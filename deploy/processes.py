@@ -50,7 +50,7 @@ async def play(
     robots = scenario.team.robots
     port = free_port(scenario.network.port)
     journal = Journal(run_dir.journal, scenario.durability)
-    journal.append(opening(run, "processes", to_tree(scenario), setting.graph, setting.starts))
+    journal.append(opening(run, "processes", to_tree(scenario), setting.ground, setting.starts))
     journal.close()
     passwords = _write_users(run_dir, robots)
     supervisor = Supervisor(run_dir.logs, run_dir.write_processes)
@@ -127,10 +127,10 @@ async def _start(
         environment={PASSWORD: passwords["world"]},
         restart=True,
     )
-    if scenario.device.capacity_bytes:
+    if scenario.device.capacity:
         database = scenario.bookkeeping.database or str(run_dir.database)
         keep = [] if scenario.bookkeeping.fresh else ["--keep-tags"]
-        capacity = ["--capacity-bytes", str(scenario.device.capacity_bytes)]
+        capacity = ["--capacity-bytes", str(scenario.device.capacity)]
         durability = ["--durability", scenario.durability]
         keep += ["--tag-format", tag_format_of(scenario)]
         await supervisor.start(

@@ -2,20 +2,28 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from deploy.verdict.base_ledger import PlaceName, in_words
 from deploy.verdict.result import Result
+from protocol.graph import PortGraph
 from protocol.messages import Progress
 
 if TYPE_CHECKING:
     from rich.live import Live
     from rich.text import Text
 
+    from deploy.setting import Setting
+
 PLAIN_S = 1.0
 """Without a terminal, progress is a line now and then."""
 
 BAR = 20
+
+SHOWN = 6
+"""So many places that were not covered are named."""
 
 
 class Display:
@@ -91,6 +99,13 @@ class Display:
         return text
 
 
+def size_of(setting: "Setting") -> str:
+    """Say how large the ground of a run is."""
+    if isinstance(setting.ground, PortGraph):
+        return f"{setting.to_cover} vertices, {len(setting.ground.ends)} edges"
+    return f"{setting.to_cover} sub-cells"
+
+
 def print_verdict(result: Result) -> None:
     """Print the verdict on stdout."""
     from rich.console import Console
@@ -103,19 +118,24 @@ def print_verdict(result: Result) -> None:
         headline, colour = "so far", "yellow"
     elif result.status == "stalled":
         headline += ", stalled"
+    places = "places" if result.visits_extra is None else "sub-cells"
     console.print(
-        f"[bold {colour}]{headline}[/]: {result.covered} of {result.to_cover} places by "
+        f"[bold {colour}]{headline}[/]: {result.covered} of {result.to_cover} {places} by "
         f"{result.robots} robots, {lost or 'none'} lost"
     )
     for name, value in (
         ("coverage time", _number(result.coverage_time)),
         ("makespan", _number(result.makespan)),
         ("moves", str(result.steps)),
-        ("largest tag", f"{result.device_bytes_max} bytes"),
+        ("extra visits", _extra(result)),
+        ("largest tag", f"{result.device_bytes_max} bytes" if result.device_bytes_max else None),
         ("real time", _real_time(result)),
         ("trace", result.trace_sha256[:16]),
     ):
-        console.print(f"  {name:<14} {value}", soft_wrap=True)
+        if value is not None:
+            console.print(f"  {name:<14} {value}", soft_wrap=True)
+    if result.uncovered and result.status != "unfinished":
+        console.print(f"  [red]not covered[/]    {_some(result.uncovered)}", soft_wrap=True)
     for guarantee in result.guarantees:
         mark, source = marks[guarantee.holds], f"[bright_black]{guarantee.source}[/]"
         console.print(f"  {mark} {guarantee.name}  {source}", soft_wrap=True)
@@ -124,7 +144,7 @@ def print_verdict(result: Result) -> None:
         if robot.lost_at is not None:
             console.print(f"  robot {robot.id} lost at t = {robot.lost_at:g}")
     for waiting in result.stalled:
-        where = "on its way" if waiting.place is None else f"at {waiting.place}"
+        where = "on its way" if waiting.place is None else f"at {in_words(waiting.place)}"
         console.print(f"  robot {waiting.robot} still waits {where}")
     for error in result.errors:
         console.print(f"  [red]robot {error.robot}: {error.error}: {error.detail}[/]")
@@ -137,6 +157,22 @@ def print_verdict(result: Result) -> None:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:g}"
+
+
+def _extra(result: Result) -> str | None:
+    """Return the visits that were no first ones, and their share of the first ones."""
+    if result.visits_extra is None:
+        return None
+    return f"{result.visits_extra}, {100 * result.visits_extra / max(1, result.covered):.0f} %"
+
+
+def _some(places: Sequence[PlaceName]) -> str:
+    """Return the first few of some places, as text for the console."""
+    from rich.markup import escape
+
+    text = ", ".join(map(in_words, places[:SHOWN]))
+    more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
+    return escape(text) + more
 
 
 def _real_time(result: Result) -> str:

@@ -1,25 +1,30 @@
 """The setting of a run: the scenario, checked against the place that it is played at."""
 
+from math import ceil
 from pathlib import Path
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from agents.body import Algorithm
-from agents.registry import algorithm_of, tag_bytes_max, tag_format
-from bookkeeping.sqlite_store import tag_format_left
-from protocol.errors import MapError, ScenarioError
-from protocol.graph import PortGraph
-from protocol.scenario import (
-    Cave,
-    LongTree,
-    NaryTree,
-    RandomGraph,
-    RandomTree,
-    Scenario,
-    WideTree,
+from agents.registry import (
+    ALGORITHMS,
+    ASSUMED,
+    CELL_ALGORITHMS,
+    GRID_ALGORITHMS,
+    TAG_BYTES,
+    algorithm_of,
+    plain_name,
+    tag_bytes_max,
+    tag_format,
 )
+from bookkeeping.sqlite_store import tag_format_left
+from deploy.ground import Ground, ground_of, starts_on
+from protocol.errors import ScenarioError
+from protocol.graph import PortGraph
+from protocol.grid import Grid
+from protocol.scenario import ChaosSection, Fault, Scenario
 from protocol.seeds import spawn
-from world_server.maps import generators, read_graph
 
 SQLITE = b"SQLite format 3\0"
 """What a store's file begins with."""
@@ -29,18 +34,26 @@ class Setting(Struct, frozen=True):
     """Everything a run needs, checked.
 
     Attributes:
-        scenario: what is played.
-        graph: the place, reduced to the component of the start.
-        starts: start vertex of each robot.
+        scenario: what is played, with everything filled in that the file left out.
+        ground: the graph, reduced to the component of the start, or the grid.
+        starts: start place of each robot.
         algorithm: what each robot runs.
+        to_cover: how many places the team is to visit.
         notes: what the user should know, a line each.
     """
 
     scenario: Scenario
-    graph: PortGraph
+    ground: Ground
     starts: tuple[int, ...]
     algorithm: Algorithm
+    to_cover: int
     notes: tuple[str, ...] = ()
+
+    @property
+    def graph(self) -> PortGraph:
+        """The ground of a run that is played on a graph."""
+        assert isinstance(self.ground, PortGraph)
+        return self.ground
 
 
 def prepare(scenario: Scenario) -> Setting:
@@ -51,26 +64,16 @@ def prepare(scenario: Scenario) -> Setting:
         MapError: If the map cannot be read.
     """
     algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
-    whole = _place(scenario)
-    starts = _starts(scenario, whole)
-    graph = whole.component(starts[0])
-    notes: list[str] = []
-    if graph is not whole:
-        distance = whole.distances(starts[0])
-        for robot, start in enumerate(starts):
-            if distance[start] < 0:
-                raise ScenarioError(
-                    f"field `world.starts[{robot}]`: vertex {whole.names[start]!r} cannot be reached "
-                    f"from {whole.names[starts[0]]!r}; expected one component"
-                )
-        starts = tuple(graph.vertex(whole.names[start]) for start in starts)
-        notes.append(
-            f"the map has several components; playing the one of {graph.names[starts[0]]!r}: "
-            f"{len(graph.names)} of {len(whole.names)} vertices"
-        )
-    _check_devices(scenario, graph)
+    whole, notes = ground_of(scenario)
+    scenario = _filled_in(scenario, whole)
+    _check_kind(scenario, whole)
+    found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
+    if isinstance(found.ground, PortGraph):
+        _check_devices(scenario, found.ground)
     _check_database(scenario)
-    return Setting(scenario, graph, starts, algorithm, tuple(notes))
+    scenario = _with_chaos(scenario, found.ground, found.to_cover)
+    notes = (*notes, *found.notes)
+    return Setting(scenario, found.ground, found.starts, algorithm, found.to_cover, notes)
 
 
 def tag_format_of(scenario: Scenario) -> str:
@@ -78,52 +81,78 @@ def tag_format_of(scenario: Scenario) -> str:
     return tag_format(scenario.algorithm, scenario.algorithm_options, scenario.team.robots)
 
 
-def _place(scenario: Scenario) -> PortGraph:
-    world = scenario.world
-    if world.map is not None:
-        graph = read_graph(Path(world.map))
-        if not graph.names:
-            raise MapError(f"{world.map}: no vertices; expected at least one")
-        return graph
-    assert world.generate is not None
-    rng = spawn(scenario.seed, "world")
-    try:
-        match world.generate:
-            case NaryTree(branching=branching, radius=radius):
-                return generators.nary_tree(branching, radius)
-            case RandomTree(vertices=vertices):
-                return generators.random_tree(vertices, rng)
-            case WideTree(edges=edges):
-                return generators.wide_tree(edges, rng)
-            case LongTree(edges=edges):
-                return generators.long_tree(edges, rng)
-            case RandomGraph(vertices=vertices, edges=edges):
-                return generators.random_graph(vertices, edges, rng)
-            case Cave(vertices=vertices, loops=loops):
-                return generators.cave(vertices, loops, rng)
-    except ValueError as error:
-        raise ScenarioError(f"field `world.generate`: {error}") from None
+def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
+    """Fill in what the scenario leaves to the algorithm and the place."""
+    name = plain_name(scenario.algorithm)
+    assumed = ASSUMED.get(name, {})
+    radio, sensing, device = scenario.radio, scenario.sensing, scenario.device
+    if radio.reach is None:
+        radio = replace(radio, reach=assumed.get("radio.reach", "none"))
+    if sensing.mode is None:
+        usual = "three" if isinstance(ground, Grid) else "ports"
+        sensing = replace(sensing, mode=assumed.get("sensing.mode", usual))
+    if device.capacity_bytes is None and name in ALGORITHMS and name not in TAG_BYTES:
+        device = replace(device, capacity_bytes=0)
+    return replace(scenario, radio=radio, sensing=sensing, device=device)
 
 
-def _starts(scenario: Scenario, graph: PortGraph) -> tuple[int, ...]:
-    world = scenario.world
-    if world.starts is not None:
-        return tuple(
-            _vertex(graph, name, f"world.starts[{robot}]")
-            for robot, name in enumerate(world.starts)
-        )
-    start = 0 if world.start is None else _vertex(graph, world.start, "world.start")
-    return (start,) * scenario.team.robots
-
-
-def _vertex(graph: PortGraph, name: str | int, field: str) -> int:
-    try:
-        return graph.vertex(str(name))
-    except KeyError:
-        some = ", ".join(map(repr, graph.names[:3]))
+def _check_kind(scenario: Scenario, ground: Ground) -> None:
+    """Refuse what does not go with a graph, or with a grid."""
+    name = plain_name(scenario.algorithm)
+    on_grid = isinstance(ground, Grid)
+    where, other = ("a grid", "a graph") if on_grid else ("a graph", "a grid")
+    if name in ALGORITHMS and (name in GRID_ALGORITHMS) != on_grid:
+        raise ScenarioError(f"field `algorithm`: {name} plays on {other}, found {where}")
+    if (scenario.sensing.mode == "ports") == on_grid:
         raise ScenarioError(
-            f"field `{field}`: found {name!r}, expected the name of a vertex, such as {some}"
-        ) from None
+            f"field `sensing.mode`: found {scenario.sensing.mode!r}, which is for {other}; "
+            f"the map is {where}"
+        )
+    if on_grid:
+        return
+    world = scenario.world
+    for field, value, usual in (
+        ("world.cell_m", world.cell_m, None),
+        ("world.resolution_m", world.resolution_m, None),
+        ("world.bodies", world.bodies, "pass"),
+        ("world.starts", "random" if world.starts == "random" else None, None),
+        ("sensing.position", scenario.sensing.position, "known"),
+        ("radio.reach", "radius" if scenario.radio.reach == "radius" else None, None),
+    ):
+        if value != usual:
+            raise ScenarioError(f"field `{field}`: found {value!r}, which is for grids only")
+
+
+def _with_chaos(scenario: Scenario, ground: Ground, to_cover: int) -> Scenario:
+    """Turn random faults into scheduled ones."""
+    chaos, robots = scenario.chaos, scenario.team.robots
+    if not chaos.robots:
+        return scenario
+    rng = spawn(scenario.seed, "chaos")
+    until = _fair_share(scenario, ground, to_cover) if chaos.until is None else chaos.until
+    faults = []
+    for victim in rng.sample(range(robots), chaos.robots):
+        kill = f"robot:{victim}"
+        if scenario.clock.mode == "lockstep":
+            at, round_ = float(rng.randrange(ceil(until))), rng.randrange(2)
+            faults.append(Fault(kill=kill, at=at, round=round_))
+        else:
+            faults.append(Fault(kill=kill, at=rng.uniform(0.0, until)))
+    return replace(scenario, faults=(*scenario.faults, *faults), chaos=ChaosSection())
+
+
+def _fair_share(scenario: Scenario, ground: Ground, to_cover: int) -> float:
+    """Return the time in which the team could cover everything if it shared the work evenly."""
+    robots, speed = scenario.team.robots, scenario.team.speed
+    if isinstance(ground, Grid):
+        moves, length = to_cover, ground.cell_m
+    else:
+        lengths = [known or 1.0 for known in ground.lengths]
+        moves, length = 2 * len(lengths), sum(lengths) / max(1, len(lengths))
+    if scenario.clock.mode == "lockstep":
+        return max(1.0, moves / robots)
+    together = sum(speed) if isinstance(speed, tuple) else speed * robots
+    return max(1, moves) * length / together
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:
@@ -135,9 +164,9 @@ def _check_devices(scenario: Scenario, graph: PortGraph) -> None:
         graph.degree(widest),
         scenario.team.robots,
     )
-    if needed > scenario.device.capacity_bytes:
+    if needed > scenario.device.capacity:
         raise ScenarioError(
-            f"field `device.capacity_bytes`: found {scenario.device.capacity_bytes}, expected at "
+            f"field `device.capacity_bytes`: found {scenario.device.capacity}, expected at "
             f"least {needed} for the degree {graph.degree(widest)} of vertex "
             f"{graph.names[widest]!r} and {scenario.team.robots} robots"
         )

@@ -7,6 +7,7 @@
     |   `-- MachineError         this machine lacks something: a package, a free port
     |-- RuleError              a robot asked for what the world does not allow
     |   |-- ExitError            no such exit here
+    |   |-- GazeError            no such direction to look in, or nothing to look with
     |   |-- TagError             the tag does not fit the device, or there is no device
     |   |-- DurationError        a wait that is no positive, finite (lockstep: whole) time
     |   |-- OpeningError         the first request must be a look
@@ -56,6 +57,10 @@ class RuleError(CanopyError):
 
 class ExitError(RuleError):
     """There is no such exit at this place."""
+
+
+class GazeError(RuleError):
+    """There is no such direction, or the robot has no senses that look in one."""
 
 
 class TagError(RuleError):

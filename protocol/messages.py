@@ -5,14 +5,16 @@ numbered; at last `Stop`, answered by `Stopped`. One request is one message, one
 one possible moment of death.
 
 A place is a number: vertices are recognised when they are visited again (Brass et al. 2011, Sec. II,
-third model), and nothing but equality of these numbers means anything to a robot.
+third model), and nothing but equality of these numbers means anything to a robot. On a grid a robot
+has a position besides, and looks in a direction (`protocol.grid`); that direction is kept until a
+request names another one.
 """
 
 from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of all messages below; checked when a process joins."""
 
 PAYLOAD_BYTES_MAX = 1 << 20
@@ -39,7 +41,12 @@ class Request(Message, frozen=True):
 
 
 class Look(Request, frozen=True, tag="look"):
-    """See the place again (free). The first request of every robot."""
+    """See the place again (free). The first request of every robot.
+
+    ``gaze`` is the direction to look in, on a grid.
+    """
+
+    gaze: int | None = None
 
 
 class Write(Request, frozen=True, tag="write"):
@@ -51,9 +58,15 @@ class Exchange(Request, frozen=True, tag="exchange"):
 
 
 class Move(Request, frozen=True, tag="move"):
-    """Leave by a port (one move). ``exit`` is that port."""
+    """Leave by a port (one move).
+
+    Attributes:
+        exit: that port; on a grid the direction.
+        gaze: on a grid the direction to look in on arrival.
+    """
 
     exit: int = 0
+    gaze: int | None = None
 
 
 class Wait(Request, frozen=True, tag="wait"):
@@ -105,6 +118,21 @@ class Sight(Message, frozen=True, tag="sight"):
     losses: tuple[int, ...] = ()
 
 
+class GridSight(Sight, frozen=True, tag="grid_sight"):
+    """What a robot perceives on a grid, where each place has four ports: north, east, south, west.
+
+    A robot that came back by the port that it left by has bumped against something.
+
+    Attributes:
+        position: row and column where it is, as far as it can tell.
+        seen: what it senses, a byte a cell: ``.`` free, ``#`` blocked, ``?`` not sensed; which cells
+            these are is for the scenario to say (`protocol.scenario.SensingSection`).
+    """
+
+    position: tuple[int, int] = (0, 0)
+    seen: bytes = b""
+
+
 class Stopped(Message, frozen=True, tag="stopped"):
     """The stop is committed; the process may exit."""
 
@@ -121,7 +149,8 @@ class Refusal(Message, frozen=True, tag="refusal"):
     detail: str
 
 
-AnyReply = Sight | Stopped | Refusal
+AnySight = Sight | GridSight
+AnyReply = Sight | GridSight | Stopped | Refusal
 
 # A robot and the world.
 
@@ -140,6 +169,34 @@ class Join(Message, frozen=True, tag="join"):
     process: str
 
 
+class RadioFacts(Message, frozen=True):
+    """What a robot knows of its radio.
+
+    Attributes:
+        reach: who hears a message, as in the scenario.
+        latency: how long a message takes, time units.
+        lossy: whether messages may be lost.
+    """
+
+    reach: str = "none"
+    latency: float = 0.0
+    lossy: bool = False
+
+
+class SensingFacts(Message, frozen=True):
+    """What a robot knows of its senses.
+
+    Attributes:
+        mode: what is sensed, as in the scenario.
+        window: side of the square of sub-cells around the robot that ``seen`` shows, where it does.
+        bodies_block: whether other bodies are obstacles.
+    """
+
+    mode: str = "ports"
+    window: int = 0
+    bodies_block: bool = False
+
+
 class Briefing(Message, frozen=True, tag="briefing"):
     """What a robot may know beforehand.
 
@@ -152,6 +209,9 @@ class Briefing(Message, frozen=True, tag="briefing"):
         capacity_bytes: size of a bookkeeping device; 0 where there are none.
         heartbeat: who hears of a loss.
         blank_tags: whether all devices are blank at the beginning.
+        radio: what its radio can be relied on for.
+        sensing: how it senses.
+        position: row and column of its start, on a grid.
         nonce: carried by its keys and its token from now on.
     """
 
@@ -163,6 +223,9 @@ class Briefing(Message, frozen=True, tag="briefing"):
     capacity_bytes: int
     heartbeat: Literal["global", "reach"]
     blank_tags: bool
+    radio: RadioFacts = RadioFacts()
+    sensing: SensingFacts = SensingFacts()
+    position: tuple[int, int] | None = None
     nonce: str = ""
 
 

@@ -7,7 +7,7 @@ units under the event clock. The comment behind a field is its entry in the scen
 
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,6 +22,7 @@ Positive = Annotated[float, Meta(gt=0)]
 Count = Annotated[int, Meta(ge=1)]
 Natural = Annotated[int, Meta(ge=0)]
 OptionValue = bool | int | float | str
+Start = str | int | tuple[int, int]
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,6 +64,28 @@ class RandomGraph(Section, frozen=True, kw_only=True, tag="random-graph", tag_fi
     edges: Natural  #: Number of edges, those of the tree included.
 
 
+class RandomObstacles(Section, frozen=True, kw_only=True, tag="random-obstacles", tag_field="kind"):
+    """A grid with coarse cells blocked at random, all others connected (Agmon et al., Sec. 3.4)."""
+
+    rows: Count  #: Coarse cells from top to bottom.
+    cols: Count  #: Coarse cells from left to right.
+    obstacles: Natural = 0  #: How many of them are blocked.
+
+
+class Rooms(Section, frozen=True, kw_only=True, tag="rooms", tag_field="kind"):
+    """A grid like an office: rooms with doors and furniture."""
+
+    rows: Count  #: Coarse cells from top to bottom.
+    cols: Count  #: Coarse cells from left to right.
+
+
+class Warehouse(Section, frozen=True, kw_only=True, tag="warehouse", tag_field="kind"):
+    """A grid of racks with aisles between them."""
+
+    rows: Count  #: Coarse cells from top to bottom.
+    cols: Count  #: Coarse cells from left to right.
+
+
 class Cave(Section, frozen=True, kw_only=True, tag="cave", tag_field="kind"):
     """Winding passages, chambers, dead ends and a few loops; edges have lengths in metres."""
 
@@ -70,7 +93,17 @@ class Cave(Section, frozen=True, kw_only=True, tag="cave", tag_field="kind"):
     loops: Natural = 0  #: Edges besides those of a spanning tree.
 
 
-Generator = NaryTree | RandomTree | WideTree | LongTree | RandomGraph | Cave
+Generator = (
+    NaryTree
+    | RandomTree
+    | WideTree
+    | LongTree
+    | RandomGraph
+    | Cave
+    | RandomObstacles
+    | Rooms
+    | Warehouse
+)
 
 # The parts of a scenario.
 
@@ -80,8 +113,19 @@ class WorldSection(Section, frozen=True, kw_only=True):
 
     map: str | None = None  #: Map file, absolute or relative to the scenario.
     generate: Generator | None = None  #: A generator (``kind``) and its parameters.
-    start: str | int | None = None  #: Start vertex of all robots; default: the first of the file.
-    starts: tuple[str | int, ...] | None = None  #: Start vertex of each robot instead.
+    start: Start | None = None
+    #: Start of all robots: a vertex, on a grid a sub-cell ``[row, column]``. Default: on a graph the
+    #: first vertex of the file, on a grid as ``starts = "random"``.
+    starts: tuple[Start, ...] | Literal["random"] | None = None
+    #: Start of each robot instead; ``"random"``: drawn from the seed, no two alike, all in the largest
+    #: part of a grid.
+    cell_m: Positive | None = None
+    #: Grids: side of a sub-cell, metres, which is the size of a robot. Default: one character or pixel
+    #: of the file.
+    resolution_m: Positive | None = None
+    #: Grids: side of a character or pixel, metres, where the file does not say it.
+    bodies: Literal["pass", "block"] = "pass"
+    #: Grids: whether a robot can pass another, or its remains, or bumps against it.
 
 
 class TeamSection(Section, frozen=True, kw_only=True):
@@ -104,7 +148,15 @@ class ClockSection(Section, frozen=True, kw_only=True):
 class RadioSection(Section, frozen=True, kw_only=True):
     """Who hears whom."""
 
-    reach: Literal["none", "same-place", "global"] = "none"  #: Who hears a message.
+    reach: Literal["none", "same-place", "radius", "global"] | None = None
+    #: Who hears a message. Default: whom the algorithm's paper assumes; algorithms of users: nobody.
+    radius_m: Positive | None = None  #: With ``reach = "radius"``: how far it carries, metres.
+    line_of_sight: bool = False  #: With ``reach = "radius"``: obstacles are in the way.
+    latency: Annotated[float, Meta(ge=0)] = 0.0  #: Time units from sending to hearing.
+    loss: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    #: Probability that a hearer misses a message; each misses it on its own.
+    duplicate: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    #: Probability that a hearer gets a message twice.
     heartbeat: Literal["global", "reach"] = "global"
     #: Who gets notice of a loss: everybody, or those who would have heard the lost robot's radio.
 
@@ -112,14 +164,33 @@ class RadioSection(Section, frozen=True, kw_only=True):
 class SensingSection(Section, frozen=True, kw_only=True):
     """What a robot perceives."""
 
-    mode: Literal["ports"] = "ports"
-    #: How many ports its vertex has; where one leads it learns only by going.
+    mode: Literal["ports", "ahead", "three", "radius", "line-of-sight"] | None = None
+    #: Graphs: ``"ports"``, how many ports its vertex has; where one leads it learns only by going.
+    #: Grids: ``"ahead"``, the coarse cell next to its own in the direction that it looks in;
+    #: ``"three"``, those to the left, ahead and to the right of that direction; ``"radius"``, the
+    #: sub-cells within ``range_m``; ``"line-of-sight"``, those of them that no obstacle hides.
+    #: Default: the least that the algorithm can do with; algorithms of users on grids: ``"three"``.
+    range_m: Positive | None = None  #: With ``"radius"`` and ``"line-of-sight"``: how far, metres.
+    position: Literal["known", "odometry"] = "known"
+    #: Grids: whether a robot knows where it is, or adds up its own moves.
+    drift: Annotated[float, Meta(ge=0)] = 0.0
+    #: With ``"odometry"``: standard deviation of the error of one move, sub-cells, along and across.
+    #: The robot ends in another sub-cell than it believes when the error exceeds half of one.
+    reset: bool = True
+    #: With ``"odometry"``: it lines up with the middle of its sub-cell after each move, so that errors
+    #: below half a sub-cell do not add up.
 
 
 class DeviceSection(Section, frozen=True, kw_only=True):
     """The bookkeeping device at each place."""
 
-    capacity_bytes: Natural = 888  #: Size of its tag; 0: places carry no device.
+    capacity_bytes: Natural | None = None
+    #: Size of its tag; 0: places carry no device. Default: 888, and 0 where the algorithm uses none.
+
+    @property
+    def capacity(self) -> int:
+        """The size of a tag, bytes."""
+        return 888 if self.capacity_bytes is None else self.capacity_bytes
 
 
 class BookkeepingSection(Section, frozen=True, kw_only=True):
@@ -155,6 +226,15 @@ class Fault(Section, frozen=True, kw_only=True):
         return int(self.kill.removeprefix("robot:"))
 
 
+class ChaosSection(Section, frozen=True, kw_only=True):
+    """Random faults, drawn from the seed before the run."""
+
+    robots: Natural = 0  #: How many robots are killed, each once; fewer than there are.
+    until: Positive | None = None
+    #: They strike before this virtual time. Default: the time in which the team could have covered
+    #: everything if it shared the work evenly.
+
+
 class Scenario(Section, frozen=True, kw_only=True):
     """What is played."""
 
@@ -173,6 +253,7 @@ class Scenario(Section, frozen=True, kw_only=True):
     bookkeeping: BookkeepingSection = BookkeepingSection()  #: The store that outlives a run.
     network: NetworkSection = NetworkSection()  #: How the processes talk.
     faults: tuple[Fault, ...] = ()  #: Scheduled faults.
+    chaos: ChaosSection = ChaosSection()  #: Random faults.
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -293,34 +374,72 @@ def _override(tree: dict[str, Any], override: str) -> None:
 
 
 def _check(scenario: Scenario, source: str) -> None:
-    """Check what types alone do not say."""
+    """Check what types alone do not say.
 
-    def refuse(field: str, found: object, expected: str) -> ScenarioError:
-        return ScenarioError(f"{source}: field `{field}`: found {found!r}, expected {expected}")
+    Raises:
+        ScenarioError: If something does not fit.
+    """
+    for check in (_world_faults, _senses_faults, _schedule_faults):
+        for field, found, expected in check(scenario):
+            raise ScenarioError(f"{source}: field `{field}`: found {found!r}, expected {expected}")
 
+
+Misfit = tuple[str, object, str]
+"""A field, what was found there, and what was expected."""
+
+
+def _world_faults(scenario: Scenario) -> Iterator[Misfit]:
     world, team = scenario.world, scenario.team
     if (world.map is None) == (world.generate is None):
         found = "neither" if world.map is None else "both"
-        raise refuse("world", found, "one of `map` and `generate`")
+        yield "world", found, "one of `map` and `generate`"
     if world.start is not None and world.starts is not None:
-        raise refuse("world", "both", "one of `start` and `starts`")
-    if world.starts is not None and len(world.starts) != team.robots:
-        raise refuse("world.starts", list(world.starts), f"one for each of {team.robots} robots")
+        yield "world", "both", "one of `start` and `starts`"
+    if isinstance(world.starts, tuple) and len(world.starts) != team.robots:
+        yield "world.starts", list(world.starts), f"one for each of {team.robots} robots"
+    for name in ("cell_m", "resolution_m"):
+        if getattr(world, name) == inf:
+            yield f"world.{name}", inf, "a finite length"
     if isinstance(team.speed, tuple) and len(team.speed) != team.robots:
-        raise refuse("team.speed", list(team.speed), f"one for each of {team.robots} robots")
+        yield "team.speed", list(team.speed), f"one for each of {team.robots} robots"
     if inf in (team.speed if isinstance(team.speed, tuple) else (team.speed,)):
-        raise refuse("team.speed", team.speed, "a finite speed")
+        yield "team.speed", team.speed, "a finite speed"
     if scenario.clock.mode == "lockstep" and scenario.clock.jitter != 0:
-        raise refuse("clock.jitter", scenario.clock.jitter, "0 under the lockstep clock")
+        yield "clock.jitter", scenario.clock.jitter, "0 under the lockstep clock"
+
+
+def _senses_faults(scenario: Scenario) -> Iterator[Misfit]:
+    radio, sensing = scenario.radio, scenario.sensing
+    if (radio.reach == "radius") != (radio.radius_m is not None):
+        yield "radio.radius_m", radio.radius_m, 'a length if `reach = "radius"`, else nothing'
+    if radio.line_of_sight and radio.reach != "radius":
+        yield "radio.line_of_sight", True, 'false, or `reach = "radius"`'
+    if inf in (radio.latency, radio.radius_m):
+        yield "radio", inf, "finite lengths and times"
+    squares = ("radius", "line-of-sight")
+    if (sensing.mode in squares) != (sensing.range_m is not None):
+        expected = 'a length if `mode` is "radius" or "line-of-sight", else nothing'
+        yield "sensing.range_m", sensing.range_m, expected
+    if inf in (sensing.range_m, sensing.drift):
+        yield "sensing", inf, "finite lengths"
+    if sensing.drift and sensing.position == "known":
+        yield "sensing.drift", sensing.drift, '0, or `position = "odometry"`'
+
+
+def _schedule_faults(scenario: Scenario) -> Iterator[Misfit]:
+    robots = scenario.team.robots
+    if scenario.chaos.robots and scenario.chaos.robots >= robots:
+        yield "chaos.robots", scenario.chaos.robots, f"at most {robots - 1}: one robot must be left"
+    if scenario.chaos.until == inf:
+        yield "chaos.until", inf, "a finite time"
     for index, fault in enumerate(scenario.faults):
         field = f"faults[{index}]"
         kind, colon, number = fault.kill.partition(":")
-        if kind != "robot" or not colon or not number.isdecimal() or int(number) >= team.robots:
-            expected = f'"robot:0" to "robot:{team.robots - 1}"'
-            raise refuse(f"{field}.kill", fault.kill, expected)
+        if kind != "robot" or not colon or not number.isdecimal() or int(number) >= robots:
+            yield f"{field}.kill", fault.kill, f'"robot:0" to "robot:{robots - 1}"'
         if (fault.at is None) == (fault.at_request is None):
-            raise refuse(field, fault.kill, "one of `at` and `at_request`")
-        if fault.at is not None and fault.at == inf:
-            raise refuse(f"{field}.at", fault.at, "a finite time")
+            yield field, fault.kill, "one of `at` and `at_request`"
+        if fault.at == inf:
+            yield f"{field}.at", fault.at, "a finite time"
         if fault.at_request is not None and fault.round:
-            raise refuse(f"{field}.round", fault.round, "no round with `at_request`")
+            yield f"{field}.round", fault.round, "no round with `at_request`"

@@ -158,7 +158,7 @@ class NaiveWorld:
         waves: list[list[NaiveRobot]] = []
         for robot in in_turn:
             before = [other for other in in_turn if other.number < robot.number]
-            at_device = self.scenario.device.capacity_bytes > 0
+            at_device = self.scenario.device.capacity > 0
             wave = sum(other.place == robot.place for other in before) if at_device else 0
             while len(waves) <= wave:
                 waves.append([])
@@ -228,7 +228,7 @@ class NaiveWorld:
                 return "DurationError"
             if lockstep and duration != round(duration):
                 return "DurationError"
-        capacity = self.scenario.device.capacity_bytes
+        capacity = self.scenario.device.capacity
         if request.tag is not None and (capacity == 0 or len(request.tag) > capacity):
             return "TagError"
         return None

@@ -14,7 +14,7 @@ from protocol.messages import AnyRequest, Move, Sight, Stop, TagWrite
 from protocol.scenario import Scenario, from_tree
 from protocol.trace import Event, LossCause, TraceDigest
 from world_server.terrain import GraphTerrain
-from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World, briefing
+from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
 
 Script = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
 
@@ -213,7 +213,7 @@ def conducted(
         on_write=lambda *write: writes.append(write),
     )
     drivers = [
-        Driver(script, Body(briefing(scenario, robot))) for robot, script in enumerate(scripts)
+        Driver(script, Body(world.briefing(robot))) for robot, script in enumerate(scripts)
     ]
     outputs: list[Wave | KillOrder | TagsWanted] = []
     waves = 0

@@ -55,7 +55,7 @@ def setting_of(
     tree = {"algorithm": "mr-dfs", "world": {"map": "none"}, "team": team, **fields}
     scenario = from_tree(tree, "test")
     algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
-    return Setting(scenario, graph, tuple(starts or [0] * robots), algorithm)
+    return Setting(scenario, graph, tuple(starts or [0] * robots), algorithm, len(graph.names))
 
 
 def play(setting: Setting, folder: Path, engine: str) -> Run:

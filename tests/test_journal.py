@@ -32,7 +32,7 @@ from world_server.journal import (
 )
 from world_server.replay import read_opening, replay
 from world_server.terrain import GraphTerrain
-from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World, briefing
+from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
 
 GRAPH = graph_of("01 02 12 13 23", lengths=[1.0, None, 0.0, 2.5, 1.0])
 
@@ -84,7 +84,7 @@ def test_what_was_written_is_read(tmp_path: Path, durability: str) -> None:
 def test_the_opening_keeps_the_graph(tmp_path: Path) -> None:
     positions = [(0.5, 1.0), (2.0, 3.0), (4.0, 5.0), (6.0, 7.0)]
     graph = PortGraph(["a", "b", "ä", "d"], GRAPH.ends, GRAPH.lengths, positions)
-    found = read_opening(written(tmp_path / "journal", [opening_of(graph)])).graph()
+    found = read_opening(written(tmp_path / "journal", [opening_of(graph)])).ground.restored()
     for field in PortGraph.__slots__:
         assert getattr(found, field) == getattr(graph, field)
 
@@ -199,7 +199,7 @@ def journalled(
     events: list[Event] = []
     world = World(scenario, GraphTerrain(GRAPH), [0] * 3, observe=events.append)
     algorithm = algorithm_of("mr-dfs", {})
-    drivers = [Driver(algorithm, RobotBody(briefing(scenario, robot))) for robot in range(3)]
+    drivers = [Driver(algorithm, RobotBody(world.briefing(robot))) for robot in range(3)]
     journal = Journal(path)
     journal.append(opening("run-1", "test", to_tree(scenario), GRAPH, (0, 0, 0)))
     output, waves = world.begin(), 0

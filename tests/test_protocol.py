@@ -24,6 +24,7 @@ from protocol.messages import (
     Briefing,
     Ended,
     Exchange,
+    GridSight,
     Hello,
     HelloReply,
     Join,
@@ -58,13 +59,17 @@ REQUESTS: list[Any] = [
     Stop(b"t", (b"m",)),
 ]
 SIGHT = Sight(1.5, 3, None, 2, b"t", 4, True, (1, 2), ((1, b"m"),), (2,))
+GRID_SIGHT = GridSight(1.0, 9, 1, 4, b"", 0, False, (), (), (), (3, 4), b".#?")
 EXAMPLES: list[tuple[Any, list[Any]]] = [
     (AnyRequest, REQUESTS),
-    (AnyReply, [SIGHT, Stopped(), Refusal("TagError", "too long")]),
+    (AnyReply, [SIGHT, GRID_SIGHT, Stopped(), Refusal("TagError", "too long")]),
     (NumberedRequest, [NumberedRequest(7, request) for request in REQUESTS]),
     (NumberedReply, [NumberedReply(7, SIGHT), NumberedReply(8, Stopped())]),
     (Join, [Join(1, 2, "abc")]),
-    (Briefing, [Briefing(0, 2, 9, "mr-dfs", {"a": True, "b": 0.5}, 888, "global", True, "0f")]),
+    (
+        Briefing,
+        [Briefing(0, 2, 9, "mr-dfs", {"a": True, "b": 0.5}, 888, "global", True, nonce="0f")],
+    ),
     (AnyReport, [KillOrder(1, 2), Progress(1.0, 2, 3, 4, ((1, 0.5),)), Ended("stalled")]),
     (Reaped, [Reaped(3)]),
     (AnyStoreRequest, [Hello(1, 2), Batch(1, 7, (TagWrite(1, 2, b"t"),)), ReadTags(1, (2, 3))]),

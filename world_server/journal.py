@@ -14,13 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct as Layout
 from typing import Any, Literal
-from zlib import crc32
+from zlib import compress, crc32, decompress
 
 from msgspec import Struct
 
 from protocol.codec import decoder_of, encode
 from protocol.errors import JournalError, MessageError
 from protocol.graph import PortGraph
+from protocol.grid import Grid
 from protocol.messages import SCHEMA_VERSION, AnyRequest, TagWrite
 from protocol.scenario import Scenario, from_tree
 from protocol.trace import LossCause
@@ -35,6 +36,32 @@ class Record(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, g
     """Root of all records."""
 
 
+class GraphRecord(Record, frozen=True, tag="graph"):
+    """A port graph, as it was built."""
+
+    names: tuple[str, ...]
+    ends: tuple[tuple[int, int], ...]
+    lengths: tuple[float | None, ...]
+    positions: tuple[tuple[float, float], ...] | None
+
+    def restored(self) -> PortGraph:
+        """Return the graph."""
+        return PortGraph(self.names, self.ends, self.lengths, self.positions)
+
+
+class GridRecord(Record, frozen=True, tag="grid"):
+    """A grid; ``cells`` are those of `Grid.cells`, compressed."""
+
+    rows: int
+    cols: int
+    cell_m: float
+    cells: bytes
+
+    def restored(self) -> Grid:
+        """Return the grid."""
+        return Grid(self.rows, self.cols, decompress(self.cells), self.cell_m)
+
+
 class Opening(Record, frozen=True, tag="opening"):
     """The first record: all that a replay needs to know.
 
@@ -43,7 +70,7 @@ class Opening(Record, frozen=True, tag="opening"):
         run: name of the run.
         engine: which engine played it.
         scenario: the scenario as plain values.
-        names, ends, lengths, positions: the port graph.
+        ground: the graph or the grid.
         starts: start place of each robot.
     """
 
@@ -51,15 +78,8 @@ class Opening(Record, frozen=True, tag="opening"):
     run: str
     engine: str
     scenario: dict[str, Any]
-    names: tuple[str, ...]
-    ends: tuple[tuple[int, int], ...]
-    lengths: tuple[float | None, ...]
-    positions: tuple[tuple[float, float], ...] | None
+    ground: GraphRecord | GridRecord
     starts: tuple[int, ...]
-
-    def graph(self) -> PortGraph:
-        """Return the graph of the run."""
-        return PortGraph(self.names, self.ends, self.lengths, self.positions)
 
     def checked_scenario(self) -> Scenario:
         """Return the scenario of the run."""
@@ -67,11 +87,19 @@ class Opening(Record, frozen=True, tag="opening"):
 
 
 def opening(
-    run: str, engine: str, scenario: dict[str, Any], graph: PortGraph, starts: tuple[int, ...]
+    run: str,
+    engine: str,
+    scenario: dict[str, Any],
+    ground: PortGraph | Grid,
+    starts: tuple[int, ...],
 ) -> Opening:
     """Return the first record of a run."""
-    parts = (graph.names, graph.ends, graph.lengths, graph.positions)
-    return Opening(SCHEMA_VERSION, run, engine, scenario, *parts, starts)
+    record: GraphRecord | GridRecord
+    if isinstance(ground, Grid):
+        record = GridRecord(ground.rows, ground.cols, ground.cell_m, compress(ground.cells()))
+    else:
+        record = GraphRecord(ground.names, ground.ends, ground.lengths, ground.positions)
+    return Opening(SCHEMA_VERSION, run, engine, scenario, record, starts)
 
 
 class Incarnation(Record, frozen=True, tag="incarnation"):

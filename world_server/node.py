@@ -95,7 +95,7 @@ class WorldNode:
         self._world = recovered.world
         self._output = recovered.output
         self._closing = recovered.closing
-        self._has_store = self._scenario.device.capacity_bytes > 0
+        self._has_store = self._scenario.device.capacity > 0
         self._journal = Journal(path, self._scenario.durability)
         self._journal.append(Incarnation(self._incarnation))
         self._journal_lock = threading.Lock()
@@ -195,7 +195,7 @@ class WorldNode:
                 self._declare(robot, seat)
                 seat.process = join.process
                 self._last_join = time.monotonic()
-        return encode(core.briefing(self._scenario, robot, seat.nonce))
+        return encode(self._world.briefing(robot, seat.nonce))
 
     def _token_changed(self, key: str, alive: bool) -> None:  # noqa: FBT001  called by the link
         if not alive:  # a token never seen is not a token gone

@@ -1,12 +1,18 @@
 """Radio: whom a message reaches.
 
-The world carries every message; robots have no other link to each other. A message is delivered to
-those in reach at the instant of sending. Each reach is a class of its own, so that a further one is
-one class more.
+The world carries every message; robots have no other link to each other. A message is meant for
+those in reach at the instant of sending; what becomes of it on the way (latency, loss, duplicates) is
+drawn from the seed. Each reach is a class of its own, so that a further one is one class more.
 """
 
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
+
+from protocol.grid import Grid
+from protocol.scenario import Scenario
+from protocol.seeds import spawn
+from world_server.sensing import in_sight
+from world_server.terrain import GridTerrain, Terrain
 
 
 class Antenna(Protocol):
@@ -48,13 +54,63 @@ class GlobalRadio:
         return True
 
 
-Radio = NoRadio | SamePlaceRadio | GlobalRadio
+class RadiusRadio:
+    """Robots hear each other up to a distance; obstacles may be in the way.
 
-RADIOS: dict[str, type[Radio]] = {
-    "none": NoRadio,
-    "same-place": SamePlaceRadio,
-    "global": GlobalRadio,
-}
+    A robot under way is where it left from.
+    """
+
+    def __init__(self, grid: Grid, radius_m: float, *, line_of_sight: bool) -> None:
+        self._grid = grid
+        self._squared = (radius_m / grid.cell_m) ** 2
+        self._line_of_sight = line_of_sight
+
+    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others
+        """Tell whether ``receiver`` hears ``sender`` at ``time``."""
+        one, other = self._grid.position(sender.place), self._grid.position(receiver.place)
+        if (one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 > self._squared:
+            return False
+        return not self._line_of_sight or in_sight(self._grid, one, other)
+
+
+Radio = NoRadio | SamePlaceRadio | GlobalRadio | RadiusRadio
+
+
+def radio_of(scenario: Scenario, terrain: Terrain) -> Radio:
+    """Build the radio that the scenario asks for."""
+    radio = scenario.radio
+    match radio.reach:
+        case None | "none":
+            return NoRadio()
+        case "same-place":
+            return SamePlaceRadio()
+        case "global":
+            return GlobalRadio()
+        case "radius":
+            assert isinstance(terrain, GridTerrain)
+            assert radio.radius_m is not None
+            return RadiusRadio(terrain.grid, radio.radius_m, line_of_sight=radio.line_of_sight)
+
+
+class Ether:
+    """What becomes of messages on their way: how many copies arrive, drawn from the seed."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._loss = scenario.radio.loss
+        self._duplicate = scenario.radio.duplicate
+        self._stream = spawn(scenario.seed, "radio")
+
+    def copies(self) -> int:
+        """Return how many copies of the next message its next hearer gets: 0, 1 or 2."""
+        if self._stream.random() < self._loss:
+            return 0
+        return 2 if self._stream.random() < self._duplicate else 1
+
+
+def ether_of(scenario: Scenario) -> Ether | None:
+    """Return what becomes of messages; ``None``: each arrives at once, and once."""
+    radio = scenario.radio
+    return Ether(scenario) if radio.latency or radio.loss or radio.duplicate else None
 
 
 A = TypeVar("A", bound=Antenna)

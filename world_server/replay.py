@@ -11,7 +11,7 @@ from protocol.messages import SCHEMA_VERSION
 from protocol.scenario import Scenario
 from protocol.trace import Event, Observer, TraceDigest
 from world_server.journal import AnyRecord, Closing, Joined, OldTags, Opening, WaveRecord, scan
-from world_server.terrain import GraphTerrain
+from world_server.terrain import terrain_of
 from world_server.world import Answers, End, KillOrder, Output, TagsWanted, Wave, World
 
 
@@ -80,7 +80,7 @@ def replay(
     opening = read_opening(path)
     scenario = opening.checked_scenario()
     digest = TraceDigest()
-    terrain = GraphTerrain(opening.graph())
+    terrain = terrain_of(opening.ground.restored(), scenario)
     world = World(
         scenario, terrain, opening.starts, observe=_both(digest, observe), on_write=on_write
     )

@@ -36,14 +36,25 @@ from zlib import crc32
 from msgspec import Struct
 
 from protocol.codec import encode
-from protocol.errors import DurationError, OpeningError, RoundsError, RuleError, TagError
+from protocol.errors import (
+    DurationError,
+    GazeError,
+    OpeningError,
+    RoundsError,
+    RuleError,
+    TagError,
+)
 from protocol.messages import (
     AnyRequest,
+    AnySight,
     Briefing,
+    GridSight,
     Look,
     Move,
     Progress,
+    RadioFacts,
     Refusal,
+    SensingFacts,
     Sight,
     Stop,
     TagWrite,
@@ -53,8 +64,9 @@ from protocol.messages import (
 from protocol.scenario import Scenario
 from protocol.trace import Event, LossCause, Observer
 from world_server.clock import Agenda, clock_of
-from world_server.radio import RADIOS, in_reach
-from world_server.terrain import GraphTerrain
+from world_server.radio import Ether, ether_of, in_reach, radio_of
+from world_server.steering import steering_of
+from world_server.terrain import GridTerrain, Terrain
 
 
 class Wave(Struct, frozen=True, gc=False):
@@ -72,7 +84,7 @@ class Wave(Struct, frozen=True, gc=False):
     round: int
     index: int
     robots: list[int]
-    sights: list[Sight | None]
+    sights: list[AnySight | None]
 
 
 class KillOrder(Struct, frozen=True):
@@ -113,6 +125,9 @@ class Answers(Struct, frozen=True, gc=False):
 Input = Answers | tuple[TagWrite, ...] | None
 
 
+UNKNOWN_PLACE = -1
+"""The place that a robot which must add up its own moves is told."""
+
 # What a body is doing. Plain numbers: they are compared several times a step.
 IN_TURN, UNDER_WAY, WAITING, WAITING_FOR_NEWS, STOPPED, LOST = range(6)
 
@@ -125,6 +140,7 @@ class Body:
         entry: the port by which it came there.
         destination: place and entry at the end of its way.
         due: when its way or its wait ends.
+        gaze: the direction that it looks in, on a grid.
         sight: what it saw last; it acts, and leaves, in the instant of that sight.
         requests: how many of its requests were applied.
         inbox, losses: what it will see next.
@@ -135,6 +151,7 @@ class Body:
         "destination",
         "due",
         "entry",
+        "gaze",
         "has_news",
         "inbox",
         "losses",
@@ -151,10 +168,11 @@ class Body:
         self.robot = robot
         self.place = place
         self.entry: int | None = None
+        self.gaze: int | None = None
         self.state = IN_TURN
         self.destination = (place, 0)
         self.due = 0.0
-        self.sight: Sight | None = None
+        self.sight: AnySight | None = None
         self.requests = 0
         self.inbox: list[tuple[int, bytes]] = []
         self.losses: list[int] = []
@@ -166,21 +184,6 @@ class Body:
     def left_at(self) -> float:
         """When it left its place; infinite while it stands there."""
         return self.sight.time if self.state == UNDER_WAY and self.sight is not None else inf
-
-
-def briefing(scenario: Scenario, robot: int, nonce: str = "") -> Briefing:
-    """Return what ``robot`` may know beforehand."""
-    return Briefing(
-        robot,
-        scenario.team.robots,
-        scenario.seed,
-        scenario.algorithm,
-        scenario.algorithm_options,
-        scenario.device.capacity_bytes,
-        scenario.radio.heartbeat,
-        scenario.bookkeeping.fresh,
-        nonce,
-    )
 
 
 class World:
@@ -198,7 +201,7 @@ class World:
     def __init__(
         self,
         scenario: Scenario,
-        terrain: GraphTerrain,
+        terrain: Terrain,
         starts: Sequence[int],
         *,
         observe: Observer | None = None,
@@ -219,8 +222,14 @@ class World:
         self.revisions = [0] * len(terrain)
         self.refusals: dict[int, Refusal] = {}
         self.struck: list[int] = []
+        self._scenario = scenario
+        self._terrain = terrain
+        self._starts = tuple(starts)
         self._leave = terrain.leave
         self._sense = terrain.sense
+        self._see = terrain.see
+        self._steering = steering_of(scenario, terrain, self._starts)
+        self._believed = None if self._steering is None else self._steering.believed
         self._observe = observe
         self._on_write = on_write
         clock = clock_of(scenario, terrain.length)
@@ -228,9 +237,12 @@ class World:
         self._move_duration = clock.move_duration
         self._wait_duration = clock.wait_duration
         self._agenda: Agenda[Body] = Agenda()
-        self._capacity = scenario.device.capacity_bytes
+        self._in_air: Agenda[tuple[Body, int, bytes]] = Agenda()
+        self._capacity = scenario.device.capacity
         self._rounds_max = scenario.clock.rounds_max
-        self._radio = RADIOS[scenario.radio.reach]()
+        self._radio = radio_of(scenario, terrain)
+        self._latency = scenario.radio.latency
+        self._ether = ether_of(scenario)
         self._notices_reach = scenario.radio.heartbeat == "reach"
         self._resting: dict[int, list[Body]] = {}  # by place: those that wait or have stopped
         self._in_turn: dict[int, list[Body]] = {}  # by place: those that take a turn this round
@@ -262,6 +274,29 @@ class World:
     def resume(self, given: Input) -> Output:
         """Give the input that the last output asked for and return the next output."""
         return self._play.send(given)
+
+    def briefing(self, robot: int, nonce: str = "") -> Briefing:
+        """Return what ``robot`` may know beforehand."""
+        scenario, terrain = self._scenario, self._terrain
+        radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
+        return Briefing(
+            robot,
+            scenario.team.robots,
+            scenario.seed,
+            scenario.algorithm,
+            scenario.algorithm_options,
+            self._capacity,
+            radio.heartbeat,
+            scenario.bookkeeping.fresh,
+            RadioFacts(radio.reach or "none", radio.latency, radio.loss > 0),
+            SensingFacts(
+                scenario.sensing.mode or "ports",
+                terrain.window,
+                scenario.world.bodies == "block",
+            ),
+            terrain.position(self._starts[robot]) if on_grid else None,
+            nonce,
+        )
 
     def alive(self) -> int:
         """Return how many robots are neither lost nor stopped."""
@@ -295,6 +330,10 @@ class World:
     def _advance(self) -> bool:
         """Go to the next event; tell whether there is one."""
         arrival = self._agenda.next_time()
+        if self._ether is not None:
+            heard = self._in_air.next_time()
+            if heard is not None and (arrival is None or heard < arrival):
+                arrival = heard
         if self._faults and (arrival is None or self._faults[-1][0] < arrival):
             self.time = self._faults[-1][0]
         elif arrival is not None:
@@ -306,12 +345,17 @@ class World:
             if body.due != self.time:
                 continue  # woken earlier, and about something else since
             if body.state == UNDER_WAY:
+                left = body.place
                 body.place, body.entry = body.destination
                 self._moves += 1
+                if self._steering is not None:
+                    self._steering.arrived(body, left)
             elif body.state not in (WAITING, WAITING_FOR_NEWS):
                 continue
             body.state = IN_TURN
             arrived.append(body)
+        for body, sender, message in self._in_air.take(self.time):
+            self._deliver(body, sender, message)
         return True
 
     def _instant(self) -> Generator[Output, Input, None]:
@@ -405,7 +449,9 @@ class World:
         wave = [body for body in wave if body.state == IN_TURN]
         if not wave:
             return
-        sights: list[Sight | None] = [None] * len(wave) if self._round < 0 else self._sights(wave)
+        sights: list[AnySight | None] = (
+            [None] * len(wave) if self._round < 0 else self._sights(wave)
+        )
         robots = [body.robot for body in wave]
         answers = yield Wave(self.time, self._round, self._wave, robots, sights)
         assert isinstance(answers, Answers)
@@ -414,11 +460,12 @@ class World:
                 self._lose(self.bodies[robot], cause)
         self._apply(wave, answers.requests)
 
-    def _sights(self, wave: list[Body]) -> list[Sight | None]:
+    def _sights(self, wave: list[Body]) -> list[AnySight | None]:
         """Return what each robot of a wave sees."""
         time, sense, tags, revisions = self.time, self._sense, self.tags, self.revisions
+        see, believed, position_of = self._see, self._believed, self._terrain.position
         in_turn_at, resting_at, first_round = self._in_turn, self._resting, self._round == 0
-        sights: list[Sight | None] = []
+        sights: list[AnySight | None] = []
         for body in wave:
             place = body.place
             in_turn = in_turn_at[place]
@@ -435,18 +482,30 @@ class World:
                 body.inbox.clear()
                 body.losses.clear()
                 body.has_news = False
-            body.sight = sight = Sight(
-                time,
-                place,
-                body.entry,
-                sense(place),
-                tags[place],
-                revisions[place],
-                first_round and len(in_turn) == 1,
-                here,
-                inbox,
-                losses,
-            )
+            alone = first_round and len(in_turn) == 1
+            entry, tag, revision = body.entry, tags[place], revisions[place]
+            sight: AnySight
+            if see is None:
+                sight = Sight(
+                    time, place, entry, sense(place), tag, revision, alone, here, inbox, losses
+                )
+            else:
+                position = position_of(place) if believed is None else believed[body.robot]
+                sight = GridSight(
+                    time,
+                    place if believed is None else UNKNOWN_PLACE,
+                    entry,
+                    sense(place),
+                    tag,
+                    revision,
+                    alone,
+                    here,
+                    inbox,
+                    losses,
+                    position,
+                    see(place, position, body.gaze),
+                )
+            body.sight = sight
             sights.append(sight)
         return sights
 
@@ -459,6 +518,7 @@ class World:
         heart of every run, so it is one function: a call less a step is a tenth of its time.
         """
         time, observe, tick, leave = self.time, self._observe, self._tick, self._leave
+        steering = self._steering
         tags, revisions, on_write = self.tags, self.revisions, self._on_write
         capacity, resting_at = self._capacity, self._resting
         due, agenda = -1.0, None
@@ -472,7 +532,15 @@ class World:
             tag = request.tag
             try:
                 if kind is Move:
-                    body.destination = leave(place, request.exit)  # type: ignore[union-attr]
+                    exit_ = request.exit  # type: ignore[union-attr]
+                    if request.gaze is not None:  # type: ignore[union-attr]
+                        self._turn(body, request.gaze)  # type: ignore[union-attr]
+                    if steering is None:
+                        body.destination = leave(place, exit_)
+                    else:
+                        body.destination = steering.leave(body, exit_)
+                elif kind is Look and request.gaze is not None:  # type: ignore[union-attr]
+                    self._turn(body, request.gaze)  # type: ignore[union-attr]
                 elif kind is Wait or kind is WaitForNews:
                     request, ends = self._end_of(request)  # type: ignore[arg-type]
                 if sight is None and kind is not Look:
@@ -497,7 +565,6 @@ class World:
                     self._wake(resting_at[place])
             if kind is Move:
                 body.state = UNDER_WAY
-                exit_ = request.exit  # type: ignore[union-attr]
                 duration = tick or self._move_duration(body.robot, place, exit_)
                 arrival = time + duration
                 if arrival <= time:  # however short a way is, one arrives later
@@ -550,10 +617,45 @@ class World:
     def _send(self, sender: Body, messages: Iterable[bytes]) -> None:
         receivers = [body for body in self.bodies if body.state < STOPPED]
         receivers = in_reach(self._radio, sender, receivers, self.time)
+        if self._ether is not None:
+            self._send_through(self._ether, sender.robot, receivers, messages)
+            return
+        sent = [(sender.robot, message) for message in messages]
         for receiver in receivers:
-            receiver.inbox.extend((sender.robot, message) for message in messages)
+            receiver.inbox.extend(sent)
             receiver.has_news = True
         self._wake(receivers)
+
+    def _send_through(
+        self, ether: Ether, sender: int, receivers: Iterable[Body], messages: Iterable[bytes]
+    ) -> None:
+        """Send messages that may come late, twice or not at all."""
+        due = self.time + self._latency
+        for receiver in receivers:
+            for message in messages:
+                for _ in range(ether.copies()):
+                    if due > self.time:
+                        self._in_air.at(due).append((receiver, sender, message))
+                    else:
+                        self._deliver(receiver, sender, message)
+
+    def _deliver(self, receiver: Body, sender: int, message: bytes) -> None:
+        if receiver.state < STOPPED:
+            receiver.inbox.append((sender, message))
+            receiver.has_news = True
+            self._wake((receiver,))
+
+    def _turn(self, body: Body, gaze: int) -> None:
+        """Let a body look in another direction.
+
+        Raises:
+            GazeError: If there is no such direction, or nothing to look with.
+        """
+        if self._see is None:
+            raise GazeError(f"gaze {gaze} on a graph; expected none")
+        if not 0 <= gaze < 4:
+            raise GazeError(f"gaze {gaze}; expected 0 (north), 1, 2 or 3 (west)")
+        body.gaze = gaze
 
     def _wake(self, bodies: Iterable[Body]) -> None:
         """Let those of ``bodies`` that wait for news take their turn in the next round."""
@@ -579,6 +681,8 @@ class World:
         under_way = victim.state == UNDER_WAY
         if not under_way:
             self._rise(victim)
+        elif self._steering is not None:
+            self._steering.lost(victim)
         hearers = [body for body in self.bodies if body.state < STOPPED and body is not victim]
         if self._notices_reach:
             hearers = in_reach(self._radio, victim, hearers, self.time)

@@ -326,7 +326,7 @@ async def explore(
 
 async def mr_dfs(body: Body, options: Options) -> None:
     """Explore, and return to the start."""
-    here = await body.look()
+    here: Sight = await body.look()
     layout = layout_of(here.degree, body.team_size, options.version == "tree")
     epoch = unpack(here.tag, layout).epoch
     roll = RollCall(body)

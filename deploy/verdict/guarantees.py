@@ -1,10 +1,12 @@
 """Guarantees: claims that a run kept, broke, or to which it has nothing to say."""
 
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 from msgspec import Struct
 
-from deploy.verdict.ledger import Ledger, reachable
+from deploy.verdict.base_ledger import BaseLedger
+from deploy.verdict.coverage import Coverage
 from protocol.trace import Observer
 
 Status = Literal["over", "stalled", "unfinished"]
@@ -27,6 +29,18 @@ class Guarantee(Struct, frozen=True):
     detail: str
 
 
+class Share(Struct, frozen=True):
+    """One robot's part in a run, as a paper counts it.
+
+    Attributes:
+        cells: how many coarse cells it owns at the end.
+        stopped_at: when it was done; ``None`` if it was lost or did nothing.
+    """
+
+    cells: int
+    stopped_at: float | None
+
+
 class Monitor(Protocol):
     """Judges the claims of one paper."""
 
@@ -36,7 +50,11 @@ class Monitor(Protocol):
         ...
 
     def complete(self) -> bool:
-        """Tell whether all was done that the paper asks for besides visiting every vertex."""
+        """Tell whether all was done that the paper asks for besides visiting every place."""
+        ...
+
+    def shares(self) -> Sequence[Share] | None:
+        """Return each robot's part; ``None`` where the paper counts as everybody does."""
         ...
 
     def report(self, status: Status) -> list[Guarantee]:
@@ -44,25 +62,23 @@ class Monitor(Protocol):
         ...
 
 
-def common(ledger: Ledger, status: Status) -> list[Guarantee]:
+def common(ledger: BaseLedger, coverage: Coverage, status: Status) -> list[Guarantee]:
     """Judge what every algorithm promises, and what the world promises to every algorithm."""
-    return [covered(ledger, status), rules_kept(ledger), physics(ledger)]
+    return [covered(ledger, coverage, status), rules_kept(ledger), physics(ledger)]
 
 
-def covered(ledger: Ledger, status: Status) -> Guarantee:
-    """Judge whether every vertex was visited."""
-    found = len(ledger.first_visits)
-    expected, _ = reachable(ledger.graph, ledger.starts)
-    holds: bool | None = found == expected
-    detail = f"{found} of {expected} vertices visited"
+def covered(ledger: BaseLedger, coverage: Coverage, status: Status) -> Guarantee:
+    """Judge whether every place was visited."""
+    holds: bool | None = not coverage.missing
+    detail = f"{coverage.covered} of {coverage.to_cover} {ledger.units} visited"
     if not holds and not ledger.survivors:
         holds, detail = None, f"{detail}; no robot survived"
     elif not holds and status == "unfinished":
         holds, detail = None, f"{detail} so far"
-    return Guarantee("every vertex visited", "Canopy: what a run is for", holds, detail)
+    return Guarantee(f"every {ledger.unit} visited", "Canopy: what a run is for", holds, detail)
 
 
-def rules_kept(ledger: Ledger) -> Guarantee:
+def rules_kept(ledger: BaseLedger) -> Guarantee:
     """Judge whether every robot ended as robots end: by its stop, or killed from outside."""
     causes = {robot: loss.cause for robot, loss in ledger.losses.items() if loss.cause != "killed"}
     detail = "no robot failed or broke a rule"
@@ -74,7 +90,7 @@ def rules_kept(ledger: Ledger) -> Guarantee:
     )
 
 
-def physics(ledger: Ledger) -> Guarantee:
+def physics(ledger: BaseLedger) -> Guarantee:
     """Judge whether the trace is possible at all.
 
     Every robot is where its moves took it, after as long as they take; it takes one turn a round;

@@ -1,20 +1,24 @@
 """The result of a run: what `canopy run --json` prints, and the exit code that follows from it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import dropwhile
 from typing import Literal
 
 from msgspec import Struct
 
+from agents.registry import plain_name
+from deploy.verdict.agmon import Agmon
+from deploy.verdict.base_ledger import PlaceName
 from deploy.verdict.brass import Brass
-from deploy.verdict.guarantees import Guarantee, Monitor, Status, common
+from deploy.verdict.coverage import AnyLedger, coverage_of
+from deploy.verdict.grid_ledger import GridLedger
+from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
+from protocol.graph import PortGraph
+from protocol.grid import Grid
 from protocol.messages import Refusal
 from protocol.scenario import Fault, Scenario
 from protocol.trace import Observer
-
-MONITORS: dict[str, tuple[Callable[[Scenario, Ledger], Monitor], ...]] = {"mr-dfs": (Brass,)}
-"""The monitors of each algorithm of Canopy; those of users have the common guarantees."""
 
 TRACEBACK = "Traceback (most recent call last):"
 """What a traceback begins with; all its lines are indented, and the error follows."""
@@ -25,14 +29,17 @@ class RobotResult(Struct, frozen=True, kw_only=True):
 
     Attributes:
         id: its number.
-        moves: edges that it crossed.
-        stopped_at: when it stopped, or ``None``.
+        moves: edges that it crossed; on a grid, moves to another sub-cell.
+        stopped_at: when it stopped, or ``None``. For ``ormstc`` the end of its last move; ``None`` if
+            it was lost, or never moved because it was not needed.
         lost_at: when it was lost, or ``None``.
         lost_by: ``"killed"``, ``"refused"`` (it broke a rule), ``"failed"``, or ``None``.
         requests: requests that were applied.
-        first_visits: vertices where it came first, its start included.
-        place: name of the vertex where it stands at the end; ``None`` if it was lost on its way.
+        first_visits: places where it came first, its start included.
+        place: where it stands at the end, the name of the vertex, or row and column of the sub-cell;
+            ``None`` if it was lost on its way.
         returned_at: when it last arrived at its start; 0 if it never did.
+        cells: for ``ormstc``, how many coarse cells it owns at the end.
     """
 
     id: int
@@ -42,15 +49,16 @@ class RobotResult(Struct, frozen=True, kw_only=True):
     lost_by: str | None
     requests: int
     first_visits: int
-    place: str | None
+    place: PlaceName | None
     returned_at: float
+    cells: int | None = None
 
 
 class Waiting(Struct, frozen=True):
-    """A robot that still waited when the run stalled, and the name of the vertex where it is."""
+    """A robot that still waited when the run stalled, and the vertex or sub-cell where it is."""
 
     robot: int
-    place: str | None
+    place: PlaceName | None
 
 
 class RobotError(Struct, frozen=True):
@@ -81,12 +89,15 @@ class Result(Struct, frozen=True, kw_only=True):
         robots_lost: those that were lost.
         status: ``"over"``; ``"stalled"``: all that were alive waited for news; ``"unfinished"``: cut
             off before its end.
-        complete: the run is over, every vertex was visited, and all else that the algorithm's paper
+        complete: the run is over, every place was visited, and all else that the algorithm's paper
             asks for (MR-DFS: every edge traversed) was done.
-        covered: vertices visited.
-        to_cover: vertices that can be reached.
-        traversed: edges traversed.
-        to_traverse: edges that can be reached.
+        covered: vertices or sub-cells visited.
+        to_cover: those that can be reached (see `coverage`), and what was visited besides.
+        uncovered: what was not visited: names of vertices, or rows and columns of sub-cells.
+        traversed: edges traversed; ``None`` on a grid.
+        to_traverse: edges that can be reached; ``None`` on a grid.
+        visits_extra: on a grid, visits that were no first ones, each start and each arrival in another
+            sub-cell being a visit; ``None`` on a graph.
         coverage_time: time of the last first visit.
         makespan: when the last live robot stopped; ``None`` if one did not.
         steps: moves made, all robots.
@@ -114,8 +125,10 @@ class Result(Struct, frozen=True, kw_only=True):
     complete: bool
     covered: int
     to_cover: int
-    traversed: int
-    to_traverse: int
+    uncovered: list[PlaceName]
+    traversed: int | None
+    to_traverse: int | None
+    visits_extra: int | None
     coverage_time: float
     makespan: float | None
     steps: int
@@ -132,20 +145,32 @@ class Result(Struct, frozen=True, kw_only=True):
     steps_per_s: float | None
 
 
-def monitors_of(scenario: Scenario, ledger: Ledger) -> list[Monitor]:
-    """Return the monitors of the scenario's algorithm."""
-    name = scenario.algorithm.lower().replace("_", "-")
-    return [monitor(scenario, ledger) for monitor in MONITORS.get(name, ())]
+def ledger_of(ground: PortGraph | Grid, starts: Sequence[int], scenario: Scenario) -> AnyLedger:
+    """Open the ledger of a run."""
+    if isinstance(ground, Grid):
+        return GridLedger(ground, starts, scenario)
+    return Ledger(ground, starts, scenario)
 
 
-def observers(ledger: Ledger, monitors: Sequence[Monitor]) -> list[Observer]:
+def monitors_of(scenario: Scenario, ledger: AnyLedger) -> list[Monitor]:
+    """Return the monitors of the scenario's algorithm; those of users have none."""
+    match plain_name(scenario.algorithm), ledger:
+        case "mr-dfs", Ledger():
+            return [Brass(scenario, ledger)]
+        case "ormstc", GridLedger():
+            return [Agmon(scenario, ledger)]
+        case _:
+            return []
+
+
+def observers(ledger: AnyLedger, monitors: Sequence[Monitor]) -> list[Observer]:
     """Return all that must be called with every event of the trace, in this order."""
     return [ledger.observe, *(monitor.observe for monitor in monitors if monitor.observe)]
 
 
 def judge(
     scenario: Scenario,
-    ledger: Ledger,
+    ledger: AnyLedger,
     monitors: Sequence[Monitor],
     *,
     status: Status,
@@ -172,8 +197,14 @@ def judge(
         failures: for each robot whose algorithm failed the text of its traceback.
         restarts: of each infrastructure process.
     """
-    to_cover, to_traverse = reachable(ledger.graph, ledger.starts)
-    covered, steps = len(ledger.first_visits), ledger.steps
+    coverage, steps = coverage_of(scenario, ledger), ledger.steps
+    traversed, to_traverse, visits_extra = None, None, None
+    if isinstance(ledger, GridLedger):
+        visits_extra = ledger.visits_extra
+    else:
+        traversed = len(ledger.first_crossings)
+        _, to_traverse = reachable(ledger.graph, ledger.starts)
+    shares = next((found for monitor in monitors if (found := monitor.shares())), None)
     asked_for = all(monitor.complete() for monitor in monitors)
     claims = [claim for monitor in monitors for claim in monitor.report(status)]
     waiting = ledger.alive if status == "stalled" else []
@@ -185,19 +216,21 @@ def judge(
         robots=len(ledger.starts),
         robots_lost=sorted(ledger.losses),
         status=status,
-        complete=status == "over" and covered == to_cover and asked_for,
-        covered=covered,
-        to_cover=to_cover,
-        traversed=len(ledger.first_crossings),
+        complete=status == "over" and not coverage.missing and asked_for,
+        covered=coverage.covered,
+        to_cover=coverage.to_cover,
+        uncovered=[ledger.name(place) for place in coverage.missing],
+        traversed=traversed,
         to_traverse=to_traverse,
+        visits_extra=visits_extra,
         coverage_time=ledger.coverage_time,
-        makespan=ledger.makespan,
+        makespan=_makespan(ledger, shares),
         steps=steps,
-        guarantees=[*common(ledger, status), *claims],
+        guarantees=[*common(ledger, coverage, status), *claims],
         trace_sha256=trace_sha256,
         restarts=dict(restarts or {}),
         device_bytes_max=ledger.device_bytes_max,
-        per_robot=_robots(ledger),
+        per_robot=_robots(ledger, shares, status),
         stalled=[Waiting(robot, _name(ledger, robot)) for robot in waiting],
         errors=_errors(refusals or {}, failures or {}),
         faults_not_struck=[] if status == "unfinished" else _not_struck(scenario.faults, ledger),
@@ -213,29 +246,43 @@ def exit_code(result: Result) -> int:
     return 0 if result.complete and not broken else 1
 
 
-def _name(ledger: Ledger, robot: int) -> str | None:
+def _name(ledger: AnyLedger, robot: int) -> PlaceName | None:
     place = ledger.place(robot)
-    return None if place is None else ledger.graph.names[place]
+    return None if place is None else ledger.name(place)
 
 
-def _robots(ledger: Ledger) -> list[RobotResult]:
+def _robots(ledger: AnyLedger, shares: Sequence[Share] | None, status: Status) -> list[RobotResult]:
     firsts = [0] * len(ledger.starts)
     for robot, _ in ledger.first_visits.values():
         firsts[robot] += 1
-    return [
-        RobotResult(
-            id=robot,
-            moves=track.moves,
-            stopped_at=track.stopped_at,
-            lost_at=None if track.loss is None else track.loss.time,
-            lost_by=None if track.loss is None else track.loss.cause,
-            requests=track.requests,
-            first_visits=firsts[robot],
-            place=_name(ledger, robot),
-            returned_at=track.returned_at,
+    found = []
+    for robot, track in enumerate(ledger.robots):
+        cells, stopped_at = None, track.stopped_at
+        if shares is not None:
+            cells = shares[robot].cells
+            if status != "unfinished" or not track.alive:
+                stopped_at = shares[robot].stopped_at
+        found.append(
+            RobotResult(
+                id=robot,
+                moves=track.moves,
+                stopped_at=stopped_at,
+                lost_at=None if track.loss is None else track.loss.time,
+                lost_by=None if track.loss is None else track.loss.cause,
+                requests=track.requests,
+                first_visits=firsts[robot],
+                place=_name(ledger, robot),
+                returned_at=track.returned_at,
+                cells=cells,
+            )
         )
-        for robot, track in enumerate(ledger.robots)
-    ]
+    return found
+
+
+def _makespan(ledger: AnyLedger, shares: Sequence[Share] | None) -> float | None:
+    """Return when the last live robot stopped; ``None`` while a robot is alive."""
+    stops = [share.stopped_at for share in shares or () if share.stopped_at is not None]
+    return ledger.makespan if ledger.alive else max(stops, default=ledger.makespan)
 
 
 def _errors(refusals: Mapping[int, Refusal], failures: Mapping[int, str]) -> list[RobotError]:
@@ -259,7 +306,7 @@ def _last_words(text: str) -> tuple[str, str]:
     return error, " ".join(filter(None, map(str.strip, [message, *said[1:]])))
 
 
-def _not_struck(faults: Sequence[Fault], ledger: Ledger) -> list[str]:
+def _not_struck(faults: Sequence[Fault], ledger: AnyLedger) -> list[str]:
     """Name the scheduled faults that no loss in the trace goes back to.
 
     A robot is lost once: of several faults at the moment of its loss the first of the file struck.

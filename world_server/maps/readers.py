@@ -9,7 +9,7 @@ gives a graph or raises `protocol.errors.MapError` with one line: file, place, f
 import math
 import re
 import stat
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 from xml.parsers import expat  # declarations of entities are refused: see _Graphml
@@ -38,27 +38,45 @@ def read_graph(path: Path) -> PortGraph:
     Raises:
         MapError: If the file cannot be read or does not hold a graph with at least one vertex.
     """
+    data = load(path, "a graph file", "a graph with at least one vertex", READERS)
+    return READERS[path.suffix.lower()](path, data)
+
+
+def load(path: Path, kind: str, content: str, suffixes: Collection[str] | None = None) -> bytes:
+    """Load a file that belongs to a map, for a reader.
+
+    Args:
+        path: The file.
+        kind: What sort of file is expected, for messages.
+        content: What it must hold, for messages.
+        suffixes: Those that can be read, in lower case; ``None`` if the suffix does not matter.
+
+    Returns:
+        The bytes of the file, not all of them white space.
+
+    Raises:
+        MapError: If the suffix is unknown, or the file is missing, unreadable or empty.
+    """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise MapError(f"{path}: no such file, expected a graph file") from None
+        raise MapError(f"{path}: no such file, expected {kind}") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL character
         raise MapError(f"{path!s:.{SHOWN}}: cannot be read: {_reason(error)}") from None
     if stat.S_ISDIR(mode):
-        raise MapError(f"{path}: is a directory, expected a graph file")
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        known = ", ".join(READERS)
+        raise MapError(f"{path}: is a directory, expected {kind}")
+    if suffixes is not None and path.suffix.lower() not in suffixes:
+        known = ", ".join(suffixes)
         raise MapError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     if not stat.S_ISREG(mode):  # reading a pipe or a device might never end
-        raise MapError(f"{path}: is no regular file, expected a graph file")
+        raise MapError(f"{path}: is no regular file, expected {kind}")
     try:
         data = path.read_bytes()
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {_reason(error)}") from None
     if not data.removeprefix(b"\xef\xbb\xbf").strip():
-        raise MapError(f"{path}: the file is empty, expected a graph with at least one vertex")
-    return reader(path, data)
+        raise MapError(f"{path}: the file is empty, expected {content}")
+    return data
 
 
 def _read_edges(path: Path, data: bytes) -> PortGraph:
@@ -77,13 +95,10 @@ def _read_edges(path: Path, data: bytes) -> PortGraph:
     Raises:
         MapError: If a line is not as described, or no vertex is named.
     """
-    # Line ends are normalised by hand: str.splitlines also breaks at form feeds and the like, and
-    # the line numbers in messages would no longer be those of an editor.
-    lines = _decode(path, data).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     number: dict[str, int] = {}
     ends: list[tuple[int, int]] = []
     lengths: list[float | None] = []
-    for index, line in enumerate(lines, start=1):
+    for index, line in enumerate(lines_of(path, data), start=1):
         fields = line.split()
         for position, field in enumerate(fields):
             if field.startswith("#"):
@@ -94,7 +109,7 @@ def _read_edges(path: Path, data: bytes) -> PortGraph:
         where = f"{path}:{index}"
         if len(fields) > 3:
             raise MapError(
-                f"{where}: found {len(fields)} fields in {_show(line.strip())}, "
+                f"{where}: found {len(fields)} fields in {show(line.strip())}, "
                 "expected two vertices and perhaps a length, or one isolated vertex"
             )
         vertices = [number.setdefault(_name(where, name), len(number)) for name in fields[:2]]
@@ -263,19 +278,19 @@ def _read_graphml(path: Path, data: bytes) -> PortGraph:
         document.parse(data)
     except expat.ExpatError as error:
         if document.encoding is None and not data.startswith((b"\xff\xfe", b"\xfe\xff")):
-            _decode(path, data)
+            decode(path, data)
         problem = expat.ErrorString(error.code) or "an error"
         where = f"{path}:{error.lineno}"
         raise MapError(f"{where}: expected well-formed XML, found {problem}") from None
     except (LookupError, ValueError):
-        found = _show(document.encoding or "")
+        found = show(document.encoding or "")
         raise MapError(f"{path}:1: found encoding {found}, expected utf-8") from None
     number: dict[str, int] = {}
     for node in document.nodes:
         where = f"{path}:{node.line}"
         name = _name(where, _required(where, "node", node, "id"))
         if number.setdefault(name, len(number)) != len(number) - 1:
-            raise MapError(f"{where}: found vertex {_show(name)} again, expected each id once")
+            raise MapError(f"{where}: found vertex {show(name)} again, expected each id once")
     if not number:
         raise MapError(f"{path}: found no <node> element, expected at least one vertex")
     ends: list[tuple[int, int]] = []
@@ -284,7 +299,7 @@ def _read_graphml(path: Path, data: bytes) -> PortGraph:
         pair = [_required(where, "edge", edge, end) for end in ("source", "target")]
         for end, name in zip(("source", "target"), pair, strict=True):
             if name not in number:
-                raise MapError(f"{where}: found edge {end} {_show(name)}, expected a node id")
+                raise MapError(f"{where}: found edge {end} {show(name)}, expected a node id")
         ends.append((number[pair[0]], number[pair[1]]))
     length_keys = {
         **document.attribute_keys("edge", "length"),
@@ -308,7 +323,7 @@ def _graphml_positions(path: Path, document: _Graphml) -> list[tuple[float, floa
                 break
             where = f"{path}:{node.line}"
             expected = "a finite coordinate"
-            positions.append((_number(where, x, expected), _number(where, y, expected)))
+            positions.append((finite(where, x, expected), finite(where, y, expected)))
         else:
             return positions
     return None
@@ -376,7 +391,7 @@ def _read_node_link(path: Path, data: bytes) -> PortGraph:
     Raises:
         MapError: If the document is not node-link JSON, or lists no vertex.
     """
-    document = _decode_node_link(path, _decode(path, data))
+    document = _decode_node_link(path, decode(path, data))
     if (document.edges is None) == (document.links is None):
         found = "neither" if document.edges is None else "both"
         raise MapError(f"{path}: found {found} of `$.edges` and `$.links`, expected one of them")
@@ -387,7 +402,7 @@ def _read_node_link(path: Path, data: bytes) -> PortGraph:
         where = f"{path}: `$.nodes[{index}].id`"
         name = _name(where, _identity(node.id))
         if number.setdefault(name, len(number)) != index:
-            raise MapError(f"{where}: found vertex {_show(name)} again, expected each id once")
+            raise MapError(f"{where}: found vertex {show(name)} again, expected each id once")
     place, links = "edges", document.edges
     if links is None:
         place, links = "links", document.links or []
@@ -397,7 +412,7 @@ def _read_node_link(path: Path, data: bytes) -> PortGraph:
         for end, name in zip(("source", "target"), pair, strict=True):
             if name not in number:
                 where = f"{path}: `$.{place}[{index}].{end}`"
-                raise MapError(f"{where}: found {_show(name)}, expected the id of a node")
+                raise MapError(f"{where}: found {show(name)}, expected the id of a node")
         ends.append((number[pair[0]], number[pair[1]]))
     return PortGraph(
         list(number),
@@ -412,12 +427,12 @@ def _decode_node_link(path: Path, text: str) -> _NodeLink:
     try:
         return _NODE_LINK.decode(text)
     except msgspec.ValidationError as error:
-        raise MapError(f"{path}: found no node-link graph: {_one_line(str(error))}") from None
+        raise MapError(f"{path}: found no node-link graph: {one_line(str(error))}") from None
     except msgspec.DecodeError as error:
         # msgspec names the byte; people look for a line.
         byte = re.search(r"\(byte (\d+)\)", str(error))
         line = 1 + text.encode().count(b"\n", 0, int(byte[1])) if byte else 1 + text.count("\n")
-        problem = _one_line(str(error))
+        problem = one_line(str(error))
         raise MapError(f"{path}:{line}: expected well-formed JSON, found {problem}") from None
     except RecursionError:
         raise MapError(f"{path}: found JSON nested too deeply, expected nodes and edges") from None
@@ -438,7 +453,16 @@ def _identity(value: _Id) -> str:
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def _decode(path: Path, data: bytes) -> str:
+def lines_of(path: Path, data: bytes) -> list[str]:
+    """Decode a whole file and split it into lines, the last of them empty if it ends in a newline.
+
+    Line ends are normalised by hand: str.splitlines also breaks at form feeds and the like, and the
+    line numbers in messages would no longer be those of an editor.
+    """
+    return decode(path, data).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def decode(path: Path, data: bytes) -> str:
     """Decode a whole file, without its byte order mark."""
     try:
         return data.decode("utf-8-sig")
@@ -452,26 +476,26 @@ def _decode(path: Path, data: bytes) -> str:
 def _name(where: str, name: str) -> str:
     """Check that a vertex name can be printed on one line, so that messages can carry it."""
     if not name or not name.isprintable():
-        raise MapError(f"{where}: found vertex name {_show(name)}, expected printable characters")
+        raise MapError(f"{where}: found vertex name {show(name)}, expected printable characters")
     return name
 
 
 def _length(where: str, text: str) -> float:
     """Read the length of an edge."""
-    length = _number(where, text, LENGTH_EXPECTED)
+    length = finite(where, text, LENGTH_EXPECTED)
     if length < 0:
-        raise MapError(f"{where}: found {_show(text)}, expected {LENGTH_EXPECTED}")
+        raise MapError(f"{where}: found {show(text)}, expected {LENGTH_EXPECTED}")
     return length + 0.0  # turns the -0.0 that "-0" gives into 0.0
 
 
-def _number(where: str, text: str, expected: str) -> float:
+def finite(where: str, text: str, expected: str) -> float:
     """Read a finite number; unlike ``float``, take no underscores and no foreign digits."""
     try:
         number = float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise MapError(f"{where}: found {_show(text)}, expected {expected}")
+        raise MapError(f"{where}: found {show(text)}, expected {expected}")
     return number
 
 
@@ -485,12 +509,12 @@ def _cut(text: str) -> str:
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
 
 
-def _show(text: str) -> str:
+def show(text: str) -> str:
     """Quote a piece of a file for a message, on one line."""
     return ascii(_cut(text)) if not text.isprintable() else repr(_cut(text))
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """Put the message of a library on one line, without what makes it endless."""
     line = " ".join(text.split())
     return line if len(line) <= 3 * SHOWN else line[: 3 * SHOWN - 3] + "..."

@@ -1,0 +1,221 @@
+"""The ground of a run: the graph or grid that a scenario names, and where on it the robots start."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from protocol.errors import ScenarioError
+from protocol.graph import PortGraph
+from protocol.grid import Cell, Grid, sub_cells
+from protocol.scenario import (
+    Cave,
+    LongTree,
+    NaryTree,
+    RandomGraph,
+    RandomObstacles,
+    RandomTree,
+    Rooms,
+    Scenario,
+    Start,
+    Warehouse,
+    WideTree,
+)
+from protocol.seeds import spawn
+from world_server.maps import GridFile, generated_grids, generators, read_map
+
+Ground = PortGraph | Grid
+
+
+class Started(Struct, frozen=True):
+    """A ground on which the robots have a place to start.
+
+    Attributes:
+        ground: the graph, reduced to the component of the start, or the grid.
+        starts: start place of each robot.
+        to_cover: how many places can be reached from there.
+        notes: what the user should know, a line each.
+    """
+
+    ground: Ground
+    starts: tuple[int, ...]
+    to_cover: int
+    notes: tuple[str, ...] = ()
+
+
+def ground_of(scenario: Scenario) -> tuple[Ground, tuple[str, ...]]:
+    """Read or generate the whole ground, and say what the user should know of it.
+
+    Raises:
+        ScenarioError: If a generator's parameters do not fit.
+        MapError: If the map cannot be read.
+    """
+    world = scenario.world
+    if world.map is not None:
+        found = read_map(Path(world.map), cell_m=world.cell_m, resolution_m=world.resolution_m)
+        return (found.grid, found.notes) if isinstance(found, GridFile) else (found, ())
+    rng = spawn(scenario.seed, "world")
+    try:
+        match world.generate:
+            case NaryTree(branching=branching, radius=radius):
+                return generators.nary_tree(branching, radius), ()
+            case RandomTree(vertices=vertices):
+                return generators.random_tree(vertices, rng), ()
+            case WideTree(edges=edges):
+                return generators.wide_tree(edges, rng), ()
+            case LongTree(edges=edges):
+                return generators.long_tree(edges, rng), ()
+            case RandomGraph(vertices=vertices, edges=edges):
+                return generators.random_graph(vertices, edges, rng), ()
+            case Cave(vertices=vertices, loops=loops):
+                return generators.cave(vertices, loops, rng), ()
+            case RandomObstacles(rows=rows, cols=cols, obstacles=obstacles):
+                return generated_grids.random_obstacles(rows, cols, obstacles, rng), ()
+            case Rooms(rows=rows, cols=cols):
+                return generated_grids.rooms(rows, cols, rng), ()
+            case Warehouse(rows=rows, cols=cols):
+                return generated_grids.warehouse(rows, cols), ()
+            case None:
+                raise AssertionError("a scenario has a map or a generator")
+    except ValueError as error:
+        raise ScenarioError(f"field `world.generate`: {error}") from None
+
+
+def starts_on(ground: Ground, scenario: Scenario, *, cells: bool) -> Started:
+    """Find the start of each robot.
+
+    Args:
+        ground: the whole of it.
+        scenario: says where they start.
+        cells: whether the algorithm covers complete coarse cells only.
+
+    Raises:
+        ScenarioError: If a robot cannot start there.
+    """
+    if isinstance(ground, Grid):
+        return _on_grid(ground, scenario, cells=cells)
+    return _on_graph(ground, scenario)
+
+
+# Graphs.
+
+
+def _on_graph(whole: PortGraph, scenario: Scenario) -> Started:
+    starts = _vertices(scenario, whole)
+    graph = whole.component(starts[0])
+    if graph is whole:
+        return Started(graph, starts, len(graph.names))
+    distance = whole.distances(starts[0])
+    for robot, start in enumerate(starts):
+        if distance[start] < 0:
+            raise ScenarioError(
+                f"field `world.starts[{robot}]`: vertex {whole.names[start]!r} cannot be reached "
+                f"from {whole.names[starts[0]]!r}; expected one component"
+            )
+    starts = tuple(graph.vertex(whole.names[start]) for start in starts)
+    note = (
+        f"the map has several components; playing the one of {graph.names[starts[0]]!r}: "
+        f"{len(graph.names)} of {len(whole.names)} vertices"
+    )
+    return Started(graph, starts, len(graph.names), (note,))
+
+
+def _vertices(scenario: Scenario, graph: PortGraph) -> tuple[int, ...]:
+    world = scenario.world
+    if isinstance(world.starts, tuple):
+        return tuple(
+            _vertex(graph, name, f"world.starts[{robot}]")
+            for robot, name in enumerate(world.starts)
+        )
+    start = 0 if world.start is None else _vertex(graph, world.start, "world.start")
+    return (start,) * scenario.team.robots
+
+
+def _vertex(graph: PortGraph, name: Start, field: str) -> int:
+    try:
+        return graph.vertex(str(name))
+    except KeyError:
+        some = ", ".join(map(repr, graph.names[:3]))
+        raise ScenarioError(
+            f"field `{field}`: found {name!r}, expected the name of a vertex, such as {some}"
+        ) from None
+
+
+# Grids.
+
+
+def _on_grid(grid: Grid, scenario: Scenario, *, cells: bool) -> Started:
+    world, robots = scenario.world, scenario.team.robots
+    if isinstance(world.starts, tuple):
+        starts = [
+            _sub_cell(grid, start, f"world.starts[{robot}]", cells=cells)
+            for robot, start in enumerate(world.starts)
+        ]
+    elif world.start is not None:
+        starts = [_sub_cell(grid, world.start, "world.start", cells=cells)] * robots
+    else:
+        starts = _drawn(grid, scenario, cells=cells)
+    if cells and len(set(starts)) < robots:
+        field = "world.start" if world.start is not None else "world.starts"
+        twice = next(start for start in starts if starts.count(start) > 1)
+        raise ScenarioError(
+            f"field `{field}`: several robots start on sub-cell {list(twice)}; expected one each"
+        )
+    reached = reach_of(grid, starts, cells=cells)
+    whole = 4 * len(grid.complete_cells()) if cells else len(grid.free_cells())
+    notes = []
+    if len(reached) < whole:
+        kind = "sub-cells of complete coarse cells" if cells else "free sub-cells"
+        notes.append(f"{len(reached)} of {whole} {kind} can be reached from the starts")
+    return Started(grid, tuple(grid.place(*start) for start in starts), len(reached), tuple(notes))
+
+
+def reach_of(grid: Grid, starts: Sequence[Cell], *, cells: bool) -> set[Cell]:
+    """Return the sub-cells that robots can reach: all, or those of complete coarse cells only."""
+    if not cells:
+        return grid.reachable(starts)
+    coarse = grid.reachable_cells((row // 2, col // 2) for row, col in starts)
+    return {sub_cell for cell in coarse for sub_cell in sub_cells(cell)}
+
+
+def _drawn(grid: Grid, scenario: Scenario, *, cells: bool) -> list[Cell]:
+    """Draw a start for each robot, no two alike, all in the largest part of the grid."""
+    whole = grid.complete_cells() if cells else grid.free_cells()
+    flood = grid.reachable_cells if cells else grid.reachable
+    seen: set[Cell] = set()
+    largest: set[Cell] = set()
+    for cell in whole:
+        if cell not in seen:
+            part = flood([cell])
+            seen |= part
+            largest = max(largest, part, key=len)
+    among = [one for cell in sorted(largest) for one in (sub_cells(cell) if cells else (cell,))]
+    robots = scenario.team.robots
+    if len(among) < robots:
+        kind = "sub-cells of connected complete coarse cells" if cells else "connected sub-cells"
+        raise ScenarioError(f"field `team.robots`: found {robots}; there are {len(among)} {kind}")
+    return spawn(scenario.seed, "starts").sample(among, robots)
+
+
+def _sub_cell(grid: Grid, start: Start, field: str, *, cells: bool) -> Cell:
+    found = start if isinstance(start, tuple) else _read(str(start))
+    expected = f"[row, column] within {grid.rows} x {grid.cols} sub-cells"
+    if found is None or not (0 <= found[0] < grid.rows and 0 <= found[1] < grid.cols):
+        shown = list(start) if isinstance(start, tuple) else repr(start)
+        raise ScenarioError(f"field `{field}`: found {shown}, expected {expected}")
+    if not grid.is_free(*found):
+        raise ScenarioError(f"field `{field}`: sub-cell {list(found)} is blocked")
+    if cells and not grid.is_complete(found[0] // 2, found[1] // 2):
+        raise ScenarioError(
+            f"field `{field}`: sub-cell {list(found)} lies in a coarse cell that is partly blocked; "
+            f"expected one in a free coarse cell (2 x 2, aligned to even rows and columns)"
+        )
+    return found
+
+
+def _read(text: str) -> Cell | None:
+    """Read a sub-cell written as ``"row, column"``."""
+    parts = text.strip("[] ").split(",")
+    if len(parts) == 2 and all(part.strip().isdecimal() for part in parts):
+        return int(parts[0]), int(parts[1])
+    return None
