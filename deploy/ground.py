@@ -54,31 +54,49 @@ def ground_of(scenario: Scenario) -> tuple[Ground, tuple[str, ...]]:
     if world.map is not None:
         found = read_map(Path(world.map), cell_m=world.cell_m, resolution_m=world.resolution_m)
         return (found.grid, found.notes) if isinstance(found, GridFile) else (found, ())
-    rng = spawn(scenario.seed, "world")
     try:
-        match world.generate:
-            case NaryTree(branching=branching, radius=radius):
-                return generators.nary_tree(branching, radius), ()
-            case RandomTree(vertices=vertices):
-                return generators.random_tree(vertices, rng), ()
-            case WideTree(edges=edges):
-                return generators.wide_tree(edges, rng), ()
-            case LongTree(edges=edges):
-                return generators.long_tree(edges, rng), ()
-            case RandomGraph(vertices=vertices, edges=edges):
-                return generators.random_graph(vertices, edges, rng), ()
-            case Cave(vertices=vertices, loops=loops):
-                return generators.cave(vertices, loops, rng), ()
-            case RandomObstacles(rows=rows, cols=cols, obstacles=obstacles):
-                return generated_grids.random_obstacles(rows, cols, obstacles, rng), ()
-            case Rooms(rows=rows, cols=cols):
-                return generated_grids.rooms(rows, cols, rng), ()
-            case Warehouse(rows=rows, cols=cols):
-                return generated_grids.warehouse(rows, cols), ()
-            case None:
-                raise AssertionError("a scenario has a map or a generator")
+        ground = _generated(scenario)
     except ValueError as error:
         raise ScenarioError(f"field `world.generate`: {error}") from None
+    if isinstance(ground, Grid):
+        if world.resolution_m is not None:
+            raise ScenarioError(
+                f"field `world.resolution_m`: found {world.resolution_m}, which is for map files "
+                "only; expected `world.cell_m`"
+            )
+        if world.cell_m is not None:
+            ground = Grid(ground.rows, ground.cols, ground.cells(), world.cell_m)
+    return ground, ()
+
+
+def _generated(scenario: Scenario) -> Ground:
+    """Generate the ground.
+
+    Raises:
+        ValueError: If the parameters do not fit.
+    """
+    rng = spawn(scenario.seed, "world")
+    match scenario.world.generate:
+        case NaryTree(branching=branching, radius=radius):
+            return generators.nary_tree(branching, radius)
+        case RandomTree(vertices=vertices):
+            return generators.random_tree(vertices, rng)
+        case WideTree(edges=edges):
+            return generators.wide_tree(edges, rng)
+        case LongTree(edges=edges):
+            return generators.long_tree(edges, rng)
+        case RandomGraph(vertices=vertices, edges=edges):
+            return generators.random_graph(vertices, edges, rng)
+        case Cave(vertices=vertices, loops=loops):
+            return generators.cave(vertices, loops, rng)
+        case RandomObstacles(rows=rows, cols=cols, obstacles=obstacles):
+            return generated_grids.random_obstacles(rows, cols, obstacles, rng)
+        case Rooms(rows=rows, cols=cols):
+            return generated_grids.rooms(rows, cols, rng)
+        case Warehouse(rows=rows, cols=cols):
+            return generated_grids.warehouse(rows, cols)
+        case None:
+            raise AssertionError("a scenario has a map or a generator")
 
 
 def starts_on(ground: Ground, scenario: Scenario, *, cells: bool) -> Started:
@@ -155,7 +173,8 @@ def _on_grid(grid: Grid, scenario: Scenario, *, cells: bool) -> Started:
         starts = [_sub_cell(grid, world.start, "world.start", cells=cells)] * robots
     else:
         starts = _drawn(grid, scenario, cells=cells)
-    if cells and len(set(starts)) < robots:
+    one_each = cells or world.bodies == "block"
+    if one_each and len(set(starts)) < robots:
         field = "world.start" if world.start is not None else "world.starts"
         twice = next(start for start in starts if starts.count(start) > 1)
         raise ScenarioError(

@@ -38,6 +38,9 @@ map = "my_cave.edges"
 robots = 4
 ```
 
+Some algorithms play on graphs (`mr-dfs`), others on grids (`ormstc`). On a grid a sub-cell has the size
+of a robot, a coarse cell is two by two of them, and `[0, 0]` is the sub-cell at the top left.
+
 Times are virtual: ticks under the lockstep clock, time units under the event clock. An unknown
 field, a wrong type or a value out of range is refused in one line before anything starts.
 
@@ -46,7 +49,10 @@ is read as TOML, and as plain text if it is none. Paths *in the file* are relati
 path given by `--set` is relative to the current folder.
 
 `algorithm_options` of `mr-dfs`: `variant` (`"corrected"`, the default, or `"paper"`) and `version`
-(`"graph"`, the default, or `"tree"`, which is for trees only).
+(`"graph"`, the default, or `"tree"`, which is for trees only). Of `ormstc`: `variant` as above,
+`conflict` (who wins a cell that several claim at once: the highest `"id"`, the default, or who has the
+`"fewest-cells"`), `lazy` (`true`, the default: what a robot had covered before it died is left alone)
+and `scan` (`"counter-clockwise"`, the default, or `"clockwise"`, which is for one robot only).
 """
 
 GENERATE = """\
@@ -98,9 +104,13 @@ def in_words(kind: types.Type) -> str:
             return " or ".join(f'`"{value}"`' for value in values)
         case types.VarTupleType(item_type=item):
             return "list of tables" if in_words(item) == "table" else f"list: {in_words(item)} each"
+        case types.TupleType(item_types=(types.IntType(), types.IntType())):
+            return "pair of whole numbers"
         case types.DictType(value_type=value):
             return f"table: {in_words(value)} each"
         case types.UnionType(types=options):
+            # A list last: what its items are is then not taken for further options.
+            options = sorted(options, key=lambda each: isinstance(each, types.VarTupleType))
             given = [in_words(each) for each in options if not isinstance(each, types.NoneType)]
             if "number" in given and "whole number" in given:
                 given.remove("whole number")

@@ -189,11 +189,13 @@ class SensingFacts(Message, frozen=True):
     Attributes:
         mode: what is sensed, as in the scenario.
         window: side of the square of sub-cells around the robot that ``seen`` shows, where it does.
+        range_cells: how far it sees, sub-cells, where that is limited.
         bodies_block: whether other bodies are obstacles.
     """
 
     mode: str = "ports"
     window: int = 0
+    range_cells: float = 0.0
     bodies_block: bool = False
 
 

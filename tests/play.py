@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
@@ -10,10 +11,22 @@ from agents.body import Algorithm, Body, Driver
 from agents.registry import algorithm_of
 from deploy.inprocess import play
 from protocol.graph import PortGraph
-from protocol.messages import AnyRequest, Move, Sight, Stop, TagWrite
+from protocol.grid import Cell, Grid
+from protocol.messages import (
+    AnyRequest,
+    Exchange,
+    Look,
+    Move,
+    Sight,
+    Stop,
+    TagWrite,
+    Wait,
+    WaitForNews,
+    Write,
+)
 from protocol.scenario import Scenario, from_tree
 from protocol.trace import Event, LossCause, TraceDigest
-from world_server.terrain import GraphTerrain
+from world_server.terrain import GraphTerrain, terrain_of
 from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
 
 Script = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
@@ -53,6 +66,51 @@ def graphs(draw: st.DrawFn, vertices_max: int = 7, extra_max: int = 6) -> PortGr
     ends += draw(st.lists(st.tuples(vertex, vertex), max_size=extra_max))
     ends = draw(st.permutations(ends))
     return PortGraph([str(v) for v in range(len(parents) + 1)], ends)
+
+
+# Grids.
+
+
+@st.composite
+def grids(draw: st.DrawFn, rows_max: int = 9, cols_max: int = 9, marks: str = "...#") -> Grid:
+    """Grids of any size and any shape, with one free sub-cell at least; ``marks``: how many more."""
+    rows, cols = draw(st.integers(1, rows_max)), draw(st.integers(1, cols_max))
+    cells = st.lists(st.sampled_from(marks), min_size=rows * cols, max_size=rows * cols)
+    blocked = bytearray(mark == "#" for mark in draw(cells))
+    blocked[draw(st.integers(0, rows * cols - 1))] = 0
+    return Grid(rows, cols, bytes(blocked), draw(st.sampled_from([1.0, 0.5, 0.1])))
+
+
+def line_is_clear(grid: Grid, one: Cell, other: Cell) -> bool:
+    """Tell whether one can look from the middle of one sub-cell to that of another.
+
+    In exact numbers, by the words of the rule: the line crosses the inside of no obstacle, the ends
+    left out, and does not squeeze between two obstacles that touch at a corner.
+    """
+    half = Fraction(1, 2)
+    top, left = one[0] + half, one[1] + half
+    down, right = other[0] - one[0], other[1] - one[1]
+    rows = range(min(one[0], other[0]), max(one[0], other[0]) + 1)
+    cols = range(min(one[1], other[1]), max(one[1], other[1]) + 1)
+    obstacles = {(row, col) for row in rows for col in cols if not grid.is_free(row, col)}
+    for row, col in obstacles - {one, other}:
+        begin, end = Fraction(0), Fraction(1)  # the part of the line within the obstacle
+        for near, start, length in ((row, top, down), (col, left, right)):
+            if length:
+                into, out_of = sorted(((near - start) / length, (near + 1 - start) / length))
+                begin, end = max(begin, into), min(end, out_of)
+            elif not near < start < near + 1:
+                end = begin
+        if begin < end:
+            return False
+    for row in rows[1:]:
+        for col in cols[1:]:
+            if (row - top) * right == (col - left) * down:  # the line passes this corner
+                falls = down * right > 0
+                above, below = (col, col - 1) if falls else (col - 1, col)
+                if {(row - 1, above), (row, below)} <= obstacles:
+                    return False
+    return True
 
 
 # Runs.
@@ -156,6 +214,35 @@ def makespan(graph: PortGraph, robots: int, *, start: int = 0, **fields: Any) ->
     return stops[-1]
 
 
+def asking(*requests: AnyRequest, seen: list[Any] | None = None) -> Script:
+    """Look, then make ``requests`` one after another, then stop; ``seen`` gets every sight."""
+
+    async def script(body: Body) -> None:
+        here = await body.look()
+        for request in requests:
+            if seen is not None:
+                seen.append(here)
+            match request:
+                case Look(_, messages, gaze):
+                    here = await body.look(gaze=gaze, messages=messages)
+                case Write(tag, messages):
+                    here = await body.write(tag or b"", messages)
+                case Exchange(_, messages):
+                    here = await body.exchange(*messages)
+                case Move(tag, messages, exit_, gaze):
+                    here = await body.move(exit_, gaze=gaze, tag=tag, messages=messages)
+                case Wait(tag, messages, duration):
+                    here = await body.wait(duration, tag=tag, messages=messages)
+                case WaitForNews(tag, messages, at_most):
+                    here = await body.wait_for_news(at_most=at_most, tag=tag, messages=messages)
+                case Stop():
+                    return
+        if seen is not None:
+            seen.append(here)
+
+    return script
+
+
 class Conducted(NamedTuple):
     """A run of scripted robots.
 
@@ -184,7 +271,7 @@ class Conducted(NamedTuple):
 
 
 def conducted(
-    graph: PortGraph,
+    ground: PortGraph | Grid,
     scripts: Sequence[Algorithm],
     *,
     starts: Sequence[int] | None = None,
@@ -195,7 +282,7 @@ def conducted(
     """Play one script for each robot, by a plain loop over the world's outputs.
 
     Args:
-        graph: the place.
+        ground: the place.
         scripts: what each robot does.
         starts: where each robot starts; by default all at 0.
         lost_in: robots that are lost during the n-th wave of the run, counted from 0.
@@ -207,14 +294,12 @@ def conducted(
     writes: list[tuple[int, int, bytes]] = []
     world = World(
         scenario,
-        GraphTerrain(graph),
+        terrain_of(ground, scenario),
         starts or [0] * len(scripts),
         observe=events.append,
         on_write=lambda *write: writes.append(write),
     )
-    drivers = [
-        Driver(script, Body(world.briefing(robot))) for robot, script in enumerate(scripts)
-    ]
+    drivers = [Driver(script, Body(world.briefing(robot))) for robot, script in enumerate(scripts)]
     outputs: list[Wave | KillOrder | TagsWanted] = []
     waves = 0
     output = world.begin()

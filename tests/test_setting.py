@@ -9,6 +9,7 @@ from deploy.inprocess import run
 from deploy.run_dir import RunDir
 from deploy.setting import Setting, prepare
 from protocol.errors import MapError, ScenarioError
+from protocol.grid import Grid
 from protocol.scenario import Generator, Scenario, from_tree
 
 EDGES = "0 1\n1 2\n2 0\n1 3\n"
@@ -236,8 +237,32 @@ def test_generated_places_come_from_the_seed(kind: str) -> None:
     assert settings[0].notes == ()
 
 
+GENERATED_GRIDS = {
+    # kind: its parameters, and how many sub-cells there are to cover; None: what the seed gives
+    "random-obstacles": ({"rows": 8, "cols": 9, "obstacles": 20}, 4 * (72 - 20)),
+    "rooms": ({"rows": 12, "cols": 15}, None),
+    "warehouse": ({"rows": 7, "cols": 11}, 4 * (77 - 3 * 8)),
+}
+
+
+@pytest.mark.parametrize("kind", GENERATED_GRIDS)
+def test_generated_grids_come_from_the_seed(kind: str) -> None:
+    parameters, to_cover = GENERATED_GRIDS[kind]
+    world = {"generate": {"kind": kind, **parameters}}
+    settings = [prepare(scenario_of(world, algorithm="ormstc", seed=seed)) for seed in (1, 1, 2)]
+    first, same, other = (setting.ground for setting in settings)
+    assert isinstance(first, Grid)
+    assert (first.rows, first.cols) == (2 * parameters["rows"], 2 * parameters["cols"])
+    assert first == same
+    assert kind == "warehouse" or first != other
+    assert len(first.free_cells()) == settings[0].to_cover == (to_cover or settings[0].to_cover)
+    assert settings[0].starts == settings[1].starts != settings[2].starts
+    assert settings[0].notes == ()
+
+
 def test_every_kind_of_generator_is_prepared_here() -> None:
-    assert {kind.__struct_config__.tag for kind in get_args(Generator)} == GENERATED.keys()
+    kinds = {kind.__struct_config__.tag for kind in get_args(Generator)}
+    assert kinds == GENERATED.keys() | GENERATED_GRIDS.keys()
 
 
 def test_parameters_that_give_no_graph_are_refused() -> None:

@@ -34,7 +34,7 @@ from protocol.messages import (
 )
 from protocol.trace import first_difference
 from tests.naive_world import NaiveWorld
-from tests.play import Conducted, Script, conducted, graph_of, graphs, scenario_of
+from tests.play import Conducted, Script, asking, conducted, graph_of, graphs, scenario_of
 from world_server.terrain import GraphTerrain
 from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
 
@@ -42,36 +42,7 @@ PATH = graph_of("01 12 23")
 NO_DEVICES: dict[str, Any] = {"device": {"capacity_bytes": 0}}
 EVENT: dict[str, Any] = {"clock": {"mode": "event"}}
 
-# Scripts.
-
-
-def asking(*requests: AnyRequest, seen: list[Sight] | None = None) -> Script:
-    """Look, then make ``requests`` one after another, then stop; ``seen`` gets every sight."""
-
-    async def script(body: Body) -> None:
-        here = await body.look()
-        for request in requests:
-            if seen is not None:
-                seen.append(here)
-            match request:
-                case Look():
-                    here = await body.look()
-                case Write(tag, messages):
-                    here = await body.write(tag or b"", messages)
-                case Exchange(_, messages):
-                    here = await body.exchange(*messages)
-                case Move(tag, messages, exit_):
-                    here = await body.move(exit_, tag=tag, messages=messages)
-                case Wait(tag, _, duration):
-                    here = await body.wait(duration, tag=tag)
-                case WaitForNews(tag, messages, at_most):
-                    here = await body.wait_for_news(at_most=at_most, tag=tag, messages=messages)
-                case Stop():
-                    return
-        if seen is not None:
-            seen.append(here)
-
-    return script
+# Requests.
 
 
 def move(exit_: int = 0, tag: bytes | None = None, *messages: bytes) -> Move:

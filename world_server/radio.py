@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 from protocol.grid import Grid
 from protocol.scenario import Scenario
 from protocol.seeds import spawn
-from world_server.sensing import in_sight
+from world_server.sensing import in_sight, in_sub_cells
 from world_server.terrain import GridTerrain, Terrain
 
 
@@ -62,7 +62,7 @@ class RadiusRadio:
 
     def __init__(self, grid: Grid, radius_m: float, *, line_of_sight: bool) -> None:
         self._grid = grid
-        self._squared = (radius_m / grid.cell_m) ** 2
+        self._squared = in_sub_cells(radius_m, grid) ** 2
         self._line_of_sight = line_of_sight
 
     def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others

@@ -25,7 +25,7 @@ def seer(grid: Grid, sensing: SensingSection) -> tuple[See, int]:
     """Return what a robot sees on ``grid``, and the side of the square that it sees, sub-cells."""
     if sensing.mode in ("radius", "line-of-sight"):
         assert sensing.range_m is not None
-        return _square(grid, sensing.range_m / grid.cell_m, hidden=sensing.mode != "radius")
+        return _square(grid, in_sub_cells(sensing.range_m, grid), hidden=sensing.mode != "radius")
     mistaken = sensing.position == "odometry"
     look = _relative(grid) if mistaken else _absolute(grid)
     if sensing.mode == "ahead":
@@ -38,6 +38,11 @@ def seer(grid: Grid, sensing: SensingSection) -> tuple[See, int]:
         return b"".join(look(place, position, side) for side in sides)
 
     return three, 0
+
+
+def in_sub_cells(length_m: float, grid: Grid) -> float:
+    """Return a length in sides of a sub-cell, less rounding: 0.3 m are three of 0.1 m."""
+    return round(length_m / grid.cell_m, 9)
 
 
 def _absolute(grid: Grid) -> See:

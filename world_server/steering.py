@@ -7,7 +7,7 @@ from.
 
 Drift: each move ends with an error, along and across, drawn from the robot's own stream. An error of
 more than half a sub-cell ends in another sub-cell than the one meant; walls keep a robot from ending
-inside them.
+inside them, and its error from growing into them.
 """
 
 from typing import Protocol
@@ -60,14 +60,16 @@ class Steering:
         Raises:
             ExitError: If there is no such exit.
         """
-        to, entry = self._leave(body.place, exit_)
-        if to != body.place and self._drift:
-            to = self._slip(body.robot, to)
-        if to != body.place and self._blocks and to in self._bodies_at:
-            to = body.place
-        if to == body.place:
+        here = body.place
+        to, entry = self._leave(here, exit_)
+        if to == here:
             return to, exit_
-        self._take(to)
+        if self._drift:
+            to = self._slip(body.robot, to)
+        if to != here:  # else it slipped back without noticing
+            if self._blocks and to in self._bodies_at:
+                return here, exit_
+            self._take(to)
         if self.believed is not None:
             down, right = STEPS[exit_]
             row, col = self.believed[body.robot]
@@ -94,6 +96,7 @@ class Steering:
         row, col = self._grid.position(meant)
         if not self._grid.is_free(row + cells_down, col + cells_right):
             cells_down = cells_right = 0  # a wall guides it
+            down, right = max(-0.5, min(down, 0.5)), max(-0.5, min(right, 0.5))
         down, right = down - cells_down, right - cells_right
         self._errors[robot] = (0.0, 0.0) if self._reset else (down, right)
         return self._grid.place(row + cells_down, col + cells_right)

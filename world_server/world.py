@@ -279,6 +279,7 @@ class World:
         """Return what ``robot`` may know beforehand."""
         scenario, terrain = self._scenario, self._terrain
         radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
+        cell_m = terrain.grid.cell_m if isinstance(terrain, GridTerrain) else 1.0
         return Briefing(
             robot,
             scenario.team.robots,
@@ -292,6 +293,7 @@ class World:
             SensingFacts(
                 scenario.sensing.mode or "ports",
                 terrain.window,
+                0.0 if not terrain.window else (scenario.sensing.range_m or 0.0) / cell_m,
                 scenario.world.bodies == "block",
             ),
             terrain.position(self._starts[robot]) if on_grid else None,

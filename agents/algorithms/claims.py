@@ -65,7 +65,71 @@ class Removal(Note, frozen=True, tag="removal"):
     robot: int
 
 
-AnyNote = Start | Claim | Retract | Completion | Withdrawal | Over | Removal
+class Frontier(Note, frozen=True, tag="frontier"):
+    """Helping: the sender left these open cells behind; it would come back to them last."""
+
+    cells: tuple[int, ...]
+
+
+class Ask(Note, frozen=True, tag="ask"):
+    """Helping: the sender has nothing to do; who has how much before it?"""
+
+
+class Offer(Note, frozen=True, tag="offer"):
+    """Helping: the sender has ``left`` sub-cells before it, as far as it knows; to robot ``to``."""
+
+    to: int
+    left: int
+
+
+class Take(Note, frozen=True, tag="take"):
+    """Helping: the sender, who is in that cell, wants a share of what robot ``of`` has."""
+
+    of: int
+    cell: int
+
+
+class Grant(Note, frozen=True, tag="grant"):
+    """Helping: the sender's share for a helper.
+
+    Attributes:
+        to: the helper.
+        time: when it is granted.
+        cells: the cells of the share; they are the helper's now.
+        shared: those of them in which the sender still covers some sub-cells.
+        way: the sub-cells of the share (cell and corner) in the order in which to cover them.
+        backwards: whether that is against the way around the sender's tree.
+    """
+
+    to: int
+    time: float
+    cells: tuple[int, ...]
+    shared: tuple[int, ...]
+    way: tuple[tuple[int, int], ...]
+    backwards: bool
+
+
+class Refusal(Note, frozen=True, tag="refusal"):
+    """Helping: no share for robot ``to`` is worth the journey."""
+
+    to: int
+
+
+AnyNote = (
+    Start
+    | Claim
+    | Retract
+    | Completion
+    | Withdrawal
+    | Over
+    | Removal
+    | Frontier
+    | Ask
+    | Offer
+    | Take
+    | Grant
+    | Refusal
+)
 
 WITHDRAWAL = encode(Withdrawal())
 OVER = encode(Over())
@@ -174,7 +238,7 @@ class Claims:
         if kind is Claim:
             rank = -sender
             if self.fewest:
-                rank += note.cells * self.team_size  # type: ignore[union-attr]
+                rank += note.cells * self.team_size  # type: ignore[union-attr, operator]
             self.stake(note.cell, (note.time, rank, sender))  # type: ignore[union-attr]
         elif kind is Completion:
             self.complete[sender] = note.dead  # type: ignore[union-attr]
@@ -195,12 +259,15 @@ class Claims:
         elif held[2] in self.dead:
             self.spared.discard(held[2])  # whoever claims from the dead has freed all that they had
             self._give(cell, stake)
-        elif stake < held:
-            if self.delayed:
+        elif self.delayed:
+            if stake < held:
                 self.rivals.setdefault(cell, []).append(held)
+                self._give(cell, stake)
+            elif stake != held:
+                self.rivals.setdefault(cell, []).append(stake)
+        elif stake < held or stake[0] > held[0]:
+            # Without delay a robot claims open cells only: who claims later knew the owner to be dead.
             self._give(cell, stake)
-        elif self.delayed and stake != held:
-            self.rivals.setdefault(cell, []).append(stake)
 
     def retract(self, cell: int, robot: int) -> None:
         """Let a robot give a cell up."""

@@ -32,9 +32,9 @@ Departures from the paper, in the default ``variant = "corrected"``; each marked
 """
 
 from math import ceil
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from agents.algorithms.claims import (
     AT_START,
@@ -48,36 +48,68 @@ from agents.algorithms.claims import (
     Start,
     read_note,
 )
-from agents.algorithms.stc import AWAY, BEFORE, BEHIND, Tree, located
+from agents.algorithms.stc import AWAY, BEFORE, BEHIND, Tree, located, sub_cell
 from agents.body import Body
 from protocol.codec import encode
-from protocol.messages import GridSight, Stop
+from protocol.errors import AlgorithmError
+from protocol.grid import STEPS
+from protocol.messages import GridSight, SensingFacts, Stop
 
 
 class Options(Struct, frozen=True, forbid_unknown_fields=True):
     """Options of ORMSTC.
 
     Attributes:
-        variant: ``"corrected"`` keeps the theorems; ``"paper"`` as printed.
+        variant: ``"corrected"`` keeps the theorems; ``"paper"`` as printed; with ``"helping"`` robots
+            that have nothing left to do take a share of what others have (`ormstc_helping`).
         conflict: who wins a cell that several claim at once: the highest ``"id"``, or who has the
             ``"fewest-cells"`` (and then the highest id).
         lazy: whether cells that a robot had covered completely before it died are left alone (R10).
         scan: ``"clockwise"`` as in line 1, for one robot only: it passes sub-cells twice.
+        patience: where the radio is not reliable and global, how old the last sign of life may be of
+            a robot whose answer this one awaits before it enters a cell, time units (`ormstc_gossip`).
     """
 
-    variant: Literal["corrected", "paper"] = "corrected"
+    variant: Literal["corrected", "paper", "helping"] = "corrected"
     conflict: Literal["id", "fewest-cells"] = "id"
     lazy: bool = True
     scan: Literal["counter-clockwise", "clockwise"] = "counter-clockwise"
+    patience: Annotated[float, Meta(ge=0)] | None = None
 
 
 FREE = ord(".")
 """How a free cell looks."""
 
 
-def whole(duration: float) -> float:
-    """Return a time to wait that both clocks allow: whole ticks."""
-    return float(ceil(duration))
+def cells_beside(
+    sensing: SensingFacts, needed: float = 2.24
+) -> dict[tuple[int, int], tuple[int, ...]]:
+    """Return where in `GridSight.seen` the cell is that lies in a direction, for each corner.
+
+    Args:
+        sensing: how the robot senses.
+        needed: how far it must see, sub-cells: to the far end of the cell across from its corner.
+
+    Raises:
+        AlgorithmError: If the robot does not see so far.
+    """
+    side = sensing.window
+    if not side:
+        ahead = (1 if sensing.mode == "three" else 0,)
+        return {(corner, direction): ahead for corner in range(4) for direction in range(4)}
+    if sensing.range_cells < needed:
+        raise AlgorithmError(
+            f"a robot sees {sensing.range_cells:g} sub-cells far; expected sensing.range_m of at "
+            f"least {needed} sub-cells"
+        )
+    seen = {}
+    for corner in range(4):
+        row, col = sub_cell(0, corner)
+        for direction, (down, right) in enumerate(STEPS):
+            top, left = 2 * down - row + side // 2, 2 * right - col + side // 2
+            cells = tuple((top + r) * side + left + c for r in (0, 1) for c in (0, 1))
+            seen[corner, direction] = cells
+    return seen
 
 
 class Explorer:
@@ -92,6 +124,8 @@ class Explorer:
         border: the corners of the tree beside which there is a free cell of another robot's, and that
             cell.
         exits: those of them where there is something to take over now (R6).
+        walls: cells that it could not enter although they looked free.
+        bodies: sub-cells of its own tree that something lies in.
         here: what it saw last.
         late: whether it heard something in the midst of this instant: it acts on it in the next.
     """
@@ -113,9 +147,11 @@ class Explorer:
         )
         self.border: dict[tuple[int, int], int] = {}
         self.exits: set[tuple[int, int]] = set()
+        self.walls: set[int] = set()
+        self.bodies: set[tuple[int, int]] = set()
         self.here: GridSight
         self.late = False
-        self._ahead = 1 if briefing.sensing.mode == "three" else 0
+        self._looks_at = cells_beside(briefing.sensing)
         self._forward: bool | None = None
 
     # What a robot hears and sees.
@@ -123,21 +159,26 @@ class Explorer:
     def hear(self, here: GridSight) -> None:
         """Take in what came with a sight: first the messages, then the losses."""
         self.here = here
-        if here.inbox or here.losses:
-            claims = self.claims
-            for sender, message in here.inbox:
-                claims.hear(sender, read_note(message))
-            for robot in here.losses:
-                claims.bury(robot)
+        if here.inbox:
+            self.hear_messages(here)
+        for robot in here.losses:
+            self.claims.bury(robot)
+
+    def hear_messages(self, here: GridSight) -> None:
+        """Take in what the others say."""
+        hear = self.claims.hear
+        for sender, message in here.inbox:
+            hear(sender, read_note(message))
 
     async def tell(self, *messages: bytes) -> None:
         """Broadcast, and hear what the others say in this instant."""
         self.hear(await self.body.exchange(*messages))
         self.late = True
 
-    def sees_free(self) -> bool:
-        """Tell whether the cell that it looks at is free (l. 1-3)."""
-        return self.here.seen[self._ahead] == FREE
+    def sees_free(self, direction: int) -> bool:
+        """Tell whether the cell beside its own, which it looks at, is free (l. 1-3)."""
+        seen = self.here.seen
+        return all(seen[at] == FREE for at in self._looks_at[self.corner, direction])
 
     # Algorithm 2.
 
@@ -160,11 +201,11 @@ class Explorer:
         if self.delay:
             self.hear(here)
             here = await self.body.wait(self.delay)
-        # Who died since it claimed holds its claim until the next tick: the losses come last.
-        for sender, message in here.inbox:
-            claims.hear(sender, read_note(message))
+        self.here = here
+        self.hear_messages(here)
         won = claims.holds(self.me, cell)
-        self.hear(here)
+        for robot in here.losses:  # who died since it claimed holds its claim until the next tick
+            claims.bury(robot)
         self.late = True
         if self.delay and not won:
             claims.retract(cell, self.me)
@@ -178,35 +219,103 @@ class Explorer:
         while True:
             cell, corner = self.cell, self.corner
             beside = cell + AWAY[corner]
+            joins = False
             if edges[cell] >> corner & 1:
                 crosses = True
-            elif beside in edges or not self.sees_free():
+            elif beside in edges or beside in self.walls or not self.sees_free(corner):
                 crosses = False  # R2: its own, or an obstacle
             elif claims.is_open(beside) and await self.claim(beside):
                 tree.join(cell, corner)  # l. 15
-                crosses = True
+                crosses = joins = True
             else:
                 crosses = await self.passes(beside)
             if crosses:
                 exit_, cell, corner = corner, beside, BEHIND[corner]  # l. 16 and 19
             else:
                 exit_ = corner = BEFORE[corner]
-            if (cell, corner) == goal:
-                await self.step(exit_, cell, corner, *self.announced())
+            announcement = self.announced() if (cell, corner) == goal else ()
+            if not await self.step(exit_, cell, corner, *announcement):
+                if joins:
+                    await self.cut_off(self.cell, exit_)
+                else:
+                    await self.go_past(cell, corner, goal)
+            if (self.cell, self.corner) == goal or goal in self.bodies:
                 return
-            await self.step(exit_, cell, corner)
 
     async def passes(self, beside: int) -> bool:
         """Keep in mind that a cell here belongs to another robot (l. 5-11); never enter it."""
         self.border[self.cell, self.corner] = beside
         return False
 
-    async def step(self, exit_: int, cell: int, corner: int, *messages: bytes) -> None:
-        """Move to a sub-cell, and look where an edge would leave from there (one move)."""
+    async def step(self, exit_: int, cell: int, corner: int, *messages: bytes) -> bool:
+        """Move to a sub-cell, and look where an edge would leave from there (one move).
+
+        Returns:
+            Whether it got there; it may have bumped against something, three times.
+        """
         here = await self.body.move(exit_, gaze=corner, messages=messages)
-        self.cell, self.corner = cell, corner
         self.hear(here)
         self.late = False
+        if here.entry == exit_ and not await self.tried_again(exit_):
+            self.hear(await self.body.look(gaze=self.corner))
+            return False
+        self.cell, self.corner = cell, corner
+        return True
+
+    async def tried_again(self, exit_: int) -> bool:
+        """Wait a little and try again, twice, after a bump; tell whether it helped (Sec. 4.2)."""
+        for _ in range(2):
+            await self.rest(float(self.body.rng.randint(1, 3)))
+            self.hear(await self.body.move(exit_))
+            if self.here.entry != exit_:
+                return True
+        return False
+
+    async def cut_off(self, cell: int, direction: int) -> None:
+        """Take a cell beside one of its own, which it could not enter, for an obstacle."""
+        beside = self.tree.cut(cell, direction)
+        self.walls.add(beside)
+        self.claims.retract(beside, self.me)
+        await self.tell(encode(Retract(beside)))
+
+    async def go_past(self, cell: int, corner: int, goal: tuple[int, int]) -> None:
+        """Get past a sub-cell where it bumped three times, on the other lane of its own tree."""
+        blocked = (cell, corner)
+        self.bodies.add(blocked)
+        while (cell, corner) != goal:
+            _, cell, corner = self.tree.ahead(cell, corner)
+            if (cell, corner) not in self.bodies and await self.go_to({(cell, corner)}):
+                if cell == blocked[0]:
+                    await self.scan_from_here(blocked[1])
+                return
+        self.bodies.add(goal)  # the way around ends here
+
+    async def scan_from_here(self, direction: int) -> None:
+        """Look from another corner of the cell where an edge would leave from one out of reach."""
+        cell, beside = self.cell, self.cell + AWAY[direction]
+        if self.is_own_or_wall(beside):
+            return
+        self.hear(await self.body.look(gaze=direction))
+        free = self.sees_free(direction)
+        if free and self.claims.is_open(beside) and await self.claim(beside):
+            self.tree.join(cell, direction)
+            if not await self.go_to({(beside, BEHIND[direction])}) and self.cell != beside:
+                await self.cut_off(cell, direction)
+        self.hear(await self.body.look(gaze=self.corner))
+
+    async def go_to(self, targets: set[tuple[int, int]], *messages: bytes) -> bool:
+        """Go the shortest way to one of some sub-cells of its own tree; tell whether it got there."""
+        while True:
+            way = self.tree.way((self.cell, self.corner), targets, self.bodies)
+            if way is None:
+                return False
+            for exit_, cell, corner in way:
+                if not await self.step(exit_, cell, corner, *messages):
+                    self.bodies.add((cell, corner))
+                    break
+                messages = ()
+            else:
+                return True
 
     async def rest(self, duration: float, *messages: bytes) -> None:
         """Stay where it is."""
@@ -264,6 +373,10 @@ class Explorer:
             return True
         return False
 
+    def is_own_or_wall(self, cell: int) -> bool:
+        """Tell whether a cell is of its tree, or could not be entered."""
+        return cell in self.tree or cell in self.walls
+
     def find_exits(self) -> None:
         """Find the corners of the tree beside which a cell is open (R6)."""
         claims = self.claims
@@ -275,15 +388,23 @@ class Explorer:
             self.exits = {
                 corner
                 for corner, beside in (self.border.items() if claims.any_open() else ())
-                if beside not in self.tree and claims.is_open(beside)
+                if not self.is_own_or_wall(beside) and claims.is_open(beside)
             }
 
     async def walk(self, *messages: bytes) -> None:
         """Go one move towards the nearest exit, along the own way around (l. 29-30)."""
+        if self.bodies:
+            if not await self.go_to(self.exits, *messages):
+                for exit_ in self.exits:
+                    self.border.pop(exit_)
+                self.exits = set()
+            return
         if self._forward is None:
             self._forward = self.nearest_is_ahead()
         way = self.tree.ahead if self._forward else self.tree.back
-        await self.step(*way(self.cell, self.corner), *messages)
+        towards, cell, corner = way(self.cell, self.corner)
+        if not await self.step(towards, cell, corner, *messages):
+            self.bodies.add((cell, corner))
 
     def nearest_is_ahead(self) -> bool:
         """Tell whether the nearest exit lies ahead, counter-clockwise, or as near as any behind."""
@@ -305,8 +426,14 @@ class Explorer:
             await self.step(BEFORE[corner], cell, BEFORE[corner])
             return
         self.tree.join(cell, corner)  # l. 34
-        await self.step(corner, beside, BEHIND[corner])
-        await self.drive_around((cell, BEFORE[corner]))
+        if await self.step(corner, beside, BEHIND[corner]):
+            await self.drive_around((cell, BEFORE[corner]))
+        else:
+            await self.cut_off(cell, corner)
+
+    def last_words(self) -> Stop:
+        """Return what the robot stops with."""
+        return self.body.last_words(messages=(OVER,))
 
     # Departures.
 
@@ -340,7 +467,7 @@ class Explorer:
             beside = cell + AWAY[direction]
             if not back:
                 self.hear(await self.body.look(gaze=direction))
-                if beside in self.tree or not self.sees_free():
+                if beside in self.tree or not self.sees_free(direction):
                     continue
                 if not (self.claims.is_open(beside) and await self.claim(beside)):
                     continue
@@ -417,9 +544,25 @@ class PaperExplorer(Explorer):
             await self.take_over(*withdrawal)
 
 
+def explorer_of(body: Body, options: Options) -> Explorer:
+    """Return the robot for this variant and this radio."""
+    if options.variant == "paper":
+        return PaperExplorer(body, options)
+    radio = body.briefing.radio
+    if radio.reach == "global" and not radio.lossy:
+        return Explorer(body, options)
+    from agents.algorithms.ormstc_gossip import GossipExplorer  # noqa: PLC0415  it builds on this module
+
+    return GossipExplorer(body, options)
+
+
 async def ormstc(body: Body, options: Options) -> Stop:
     """Cover the grid together with the others, and stand by until all are complete."""
-    robot = (Explorer if options.variant == "corrected" else PaperExplorer)(body, options)
+    if options.variant == "helping":
+        from agents.algorithms.ormstc_helping import help_out  # noqa: PLC0415  it builds on this module
+
+        return await help_out(body, options)
+    robot = explorer_of(body, options)
     await robot.begin()
     if await robot.is_needed():
         robot.tree.root(robot.cell)
@@ -428,4 +571,4 @@ async def ormstc(body: Body, options: Options) -> Stop:
         else:
             await robot.drive_around(robot.start)
         await robot.stand_by()
-    return body.last_words(messages=(OVER,))
+    return robot.last_words()

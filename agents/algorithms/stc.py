@@ -17,6 +17,9 @@ With directions counted clockwise from north, all arithmetic is modulo 4:
     back across the edge behind      corner - 1 of the neighbour, by the exit ``corner + 1``
 """
 
+from collections import deque
+from collections.abc import Collection
+
 from protocol.grid import Cell
 
 SPAN = 1 << 20
@@ -58,6 +61,10 @@ def sub_cell(cell: int, corner: int) -> Cell:
     return 2 * row + (corner in (1, 2)), 2 * col + (corner in (0, 1))
 
 
+Corner = tuple[int, int]
+"""A sub-cell: its coarse cell, and which corner of it."""
+
+
 class Tree:
     """A spanning tree of coarse cells, and the way around it.
 
@@ -84,6 +91,50 @@ class Tree:
         self.edges[cell] |= 1 << direction
         self.edges[neighbour] = self.edges.get(neighbour, 0) | 1 << OPPOSITE[direction]
         return neighbour
+
+    def cut(self, cell: int, direction: int) -> int:
+        """Remove the edge to a leaf, and that leaf; return it."""
+        leaf = cell + AWAY[direction]
+        self.edges[cell] &= ~(1 << direction)
+        del self.edges[leaf]
+        return leaf
+
+    def way(
+        self, start: Corner, targets: Collection[Corner], closed: Collection[Corner]
+    ) -> list[tuple[int, int, int]] | None:
+        """Return a shortest way from one corner to one of ``targets``, within the tree's cells.
+
+        Args:
+            start: where it begins.
+            targets: where it may end.
+            closed: corners that it must not lead through.
+
+        Returns:
+            Exit, cell and corner of each move; ``None`` if there is no such way.
+        """
+        came: dict[Corner, tuple[Corner, int]] = {start: (start, 0)}
+        ahead = deque([start])
+        while ahead:
+            at = ahead.popleft()
+            if at in targets:
+                way: list[tuple[int, int, int]] = []
+                while at != start:
+                    before, exit_ = came[at]
+                    way.append((exit_, *at))
+                    at = before
+                return way[::-1]
+            cell, corner = at
+            behind, before_ = BEHIND[corner], BEFORE[corner]
+            for exit_, to in (
+                (before_, (cell, before_)),
+                (OPPOSITE[corner], (cell, behind)),
+                (corner, (cell + AWAY[corner], behind)),
+                (behind, (cell + AWAY[behind], before_)),
+            ):
+                if to[0] in self.edges and to not in came and to not in closed:
+                    came[to] = (at, exit_)
+                    ahead.append(to)
+        return None
 
     def ahead(self, cell: int, corner: int) -> tuple[int, int, int]:
         """Return the exit to the next sub-cell on the way around, its cell and its corner."""

@@ -194,15 +194,15 @@ class Agmon:
         return self._covered(coverage, status, "")
 
     def _not_redundant(self) -> Finding:
-        reason = "robots were lost" if self._ledger.losses else self._outside()
-        if self._scenario.algorithm_options.get("variant") == "helping":
-            reason = 'variant "helping" visits again what another was to cover'
-        detail = f"sub-cells entered again: {self.repeats or 'none'}, but for starts"
+        if self._ledger.losses:
+            return None, "robots were lost, see Theorem 6"
+        detail = f"visits beyond the first, but for the end of a lap: {self.repeats or 'none'}"
         if self.repeats:
             detail += f"; the first: {self._first_repeat}"
-        if reason is not None:
-            return None, f"{reason}; {detail}"
-        return self.repeats == 0, detail
+        reason = self._outside()
+        if self._scenario.algorithm_options.get("variant") == "helping":
+            reason = 'variant "helping" pays with visits'
+        return (self.repeats == 0, detail) if reason is None else (None, f"{reason}; {detail}")
 
     def _robust(self, coverage: Coverage, status: Status) -> Finding:
         ledger = self._ledger

@@ -1,0 +1,511 @@
+"""ORMSTC on a radio that loses messages, or does not reach everybody.
+
+(docstring to come)
+"""
+
+from functools import lru_cache
+from math import inf
+from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from agents.algorithms.claims import (
+    AnyNote,
+    Claim,
+    Claims,
+    Retract,
+    Stake,
+    Start,
+    read_note,
+)
+from agents.algorithms.ormstc import Explorer, Options
+from agents.algorithms.stc import AWAY
+from agents.body import Body
+from protocol.codec import decoder_of, encode
+from protocol.messages import Briefing, GridSight, Stop
+
+NOTES = 32
+"""A packet repeats at most so many notes, besides the sender's newest."""
+
+NOTES_EACH = 8
+"""Of these at most so many of one robot for one robot."""
+
+ROWS = 16
+"""A packet holds the rows of at most so many other robots."""
+
+
+class Row(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """What one robot had heard at a time.
+
+    Attributes:
+        robot: which robot.
+        time: when that was.
+        counts: how many notes of each robot it had.
+        covered: whether it knew that everything is covered.
+    """
+
+    robot: int
+    time: float
+    counts: tuple[int, ...]
+    covered: bool
+
+
+class Packet(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="packet", gc=False):
+    """What goes on the air.
+
+    Attributes:
+        rows: the sender's row, and the newest that it has of others.
+        notes: origin, number, and the note itself.
+        lost: robots known to be dead, where not everybody hears of a loss.
+        group: robots that know each other to be complete, and have covered everything around them;
+            empty: not yet.
+    """
+
+    rows: tuple[Row, ...]
+    notes: tuple[tuple[int, int, bytes], ...] = ()
+    lost: tuple[int, ...] = ()
+    group: tuple[int, ...] = ()
+
+
+_decode: Any = decoder_of(Packet)
+
+
+@lru_cache(maxsize=1024)
+def read_packet(data: bytes) -> Packet:
+    """Decode a message.
+
+    Raises:
+        MessageError: If it is none.
+    """
+    packet: Packet = _decode(data)
+    return packet
+
+
+class Gossip(Body):
+    """A body whose radio repeats what others lack, and forwards it.
+
+    The messages that it is given are notes; what it hears are notes too, those of each robot in the
+    order in which they were said, whoever they came from.
+
+    Attributes:
+        logs: the notes of each robot, as far as they are known without a gap.
+        rows: the newest row of each robot.
+        lost: robots known to be dead.
+        group: as in `Packet`, once this robot is one of them.
+        now: when it saw something last.
+        news_at: when it last heard or said something new.
+        patience: how old a row may be of a robot that is waited for.
+        quiet: how long a robot must be silent, at least, to be taken for lost.
+        linger: how long one that knows everything to be covered waits for another that is silent.
+        speaks: whether anybody can hear it.
+    """
+
+    __slots__ = (
+        "_early",
+        "_owes",
+        "_replied",
+        "_sent",
+        "_spoke",
+        "_tells_losses",
+        "_turn",
+        "group",
+        "linger",
+        "logs",
+        "lost",
+        "news_at",
+        "now",
+        "patience",
+        "quiet",
+        "rows",
+        "speaks",
+    )
+
+    def __init__(self, briefing: Briefing, patience: float | None) -> None:
+        super().__init__(briefing)
+        radio, robots = briefing.radio, range(self.team_size)
+        nothing = (0,) * self.team_size
+        self.logs: list[list[bytes]] = [[] for _ in robots]
+        self.rows = [Row(robot, 0.0, nothing, False) for robot in robots]
+        self.lost: set[int] = set()
+        self.group: tuple[int, ...] = ()
+        self.now = 0.0
+        self.news_at = 0.0
+        through_team = (self.team_size - 1) * (1 + radio.latency)
+        self.linger = max(16.0, 4 * through_team)
+        if radio.reach == "global":
+            self.patience, self.quiet = inf, max(256.0, self.linger)
+        else:
+            self.patience, self.quiet = max(4.0, through_team), self.linger
+        if patience is not None:
+            self.patience = patience
+        self.speaks = radio.reach != "none" and self.team_size > 1
+        self._tells_losses = briefing.heartbeat == "reach"
+        self._early: list[dict[int, bytes]] = [{} for _ in robots]
+        self._sent = 0  # so many of its own notes
+        self._spoke = -inf
+        self._owes = False  # a reply to new notes
+        self._replied = -inf
+        self._turn = 0
+
+    # Requests.
+
+    async def look(self, *, gaze: int | None = None, messages: tuple[bytes, ...] = ()) -> GridSight:
+        """See this place (free)."""
+        return self._heard(await super().look(gaze=gaze, messages=self._said(messages)))
+
+    async def exchange(self, *messages: bytes) -> GridSight:
+        """Send notes and see what has come by the next round (free)."""
+        return self._heard(await super().exchange(*self._said(messages)))
+
+    async def move(
+        self,
+        exit_: int,
+        *,
+        gaze: int | None = None,
+        tag: bytes | None = None,
+        messages: tuple[bytes, ...] = (),
+    ) -> GridSight:
+        """Leave by port ``exit_`` and arrive (one move)."""
+        said = self._said(messages, always=True)
+        return self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
+
+    async def wait(
+        self, duration: float = 1.0, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
+    ) -> GridSight:
+        """Stay for ``duration`` time units (that many ticks in lockstep)."""
+        said = self._said(messages, always=True)
+        return self._heard(await super().wait(duration, tag=tag, messages=said))
+
+    async def wait_for_news(
+        self,
+        *,
+        at_most: float | None = None,
+        tag: bytes | None = None,
+        messages: tuple[bytes, ...] = (),
+    ) -> GridSight:
+        """Stay until a message or a loss notice; or ``at_most`` so long."""
+        said = self._said(messages)
+        return self._heard(await super().wait_for_news(at_most=at_most, tag=tag, messages=said))
+
+    def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
+        """Return what the algorithm returns to stop (free)."""
+        return super().last_words(tag=tag, messages=self._said(messages, always=True))
+
+    def say(self, *notes: bytes) -> None:
+        """Send notes with the next request."""
+        self.logs[self.robot] += notes
+
+    # What it knows of others.
+
+    def has_all_of(self, robot: int) -> bool:
+        """Tell whether it has all notes that ``robot`` had, and its newest row."""
+        counts = self.rows[robot].counts
+        mine = map(len, self.logs)
+        return counts[robot] == len(self.logs[robot]) and all(map(int.__le__, counts, mine))
+
+    def is_silent(self, robot: int) -> bool:
+        """Tell whether nothing was heard of a robot for as long as the run had taken until then."""
+        heard_at = self.rows[robot].time
+        return self.now - heard_at >= max(self.quiet, heard_at)
+
+    def waits_for(self, robot: int) -> bool:
+        """Tell whether a robot was heard of so recently that an answer of it is worth a wait."""
+        is_near = self.now - self.rows[robot].time <= self.patience
+        return self.speaks and is_near and not self.is_silent(robot)
+
+    def lingers_for(self, robot: int) -> bool:
+        """Tell whether a robot may not know yet that everything is covered."""
+        row = self.rows[robot]
+        return not row.covered and self.now - row.time < self.linger
+
+    # Packets.
+
+    def _heard(self, here: GridSight) -> GridSight:
+        """Turn what came into notes that are new, and losses that are."""
+        self.now = here.time
+        if not here.inbox and not here.losses:
+            return here
+        news: list[tuple[int, bytes]] = []
+        losses = list(here.losses)
+        for _, data in here.inbox:
+            packet = read_packet(data)
+            for row in packet.rows:
+                held = self.rows[row.robot]
+                if row.time > held.time or (row.time == held.time and row.counts > held.counts):
+                    self.rows[row.robot] = row
+            for origin, number, note in packet.notes:
+                self._file(origin, number, note, news)
+            losses += packet.lost
+            if self.robot in packet.group:
+                self.group = packet.group
+        losses = [robot for robot in dict.fromkeys(losses) if robot not in self.lost]
+        self.lost.update(losses)
+        if news:
+            self.news_at = self.now
+            self._owes = True
+        return replace(here, inbox=tuple(news), losses=tuple(losses))
+
+    def _file(self, origin: int, number: int, note: bytes, news: list[tuple[int, bytes]]) -> None:
+        """Put a note into the log of its origin, or aside until those before it have come."""
+        log, early = self.logs[origin], self._early[origin]
+        if number > len(log):
+            early[number] = note
+        elif number == len(log):
+            following: bytes | None = note
+            while following is not None:
+                log.append(following)
+                news.append((origin, following))
+                following = early.pop(len(log), None)
+
+    def _said(self, notes: tuple[bytes, ...], *, always: bool = False) -> tuple[bytes, ...]:
+        """Return what to send now; at any instant only new notes, and one reply to those of others."""
+        self.say(*notes)
+        if not self.speaks:
+            return ()
+        replies = self._owes and self._replied < self.now
+        is_due = always or self.now - self._spoke >= 1.0
+        if not (is_due or replies or self._sent < len(self.logs[self.robot])):
+            return ()
+        if self._owes:
+            self._replied = self.now
+        self._owes = False
+        self._spoke = self.now
+        return (encode(self._packet()),)
+
+    def _packet(self) -> Packet:
+        me, rows = self.robot, self.rows
+        rows[me] = Row(me, self.now, tuple(map(len, self.logs)), bool(self.group))
+        others = [(me + 1 + turn) % self.team_size for turn in range(self.team_size - 1)]
+        self._turn = (self._turn + 1) % len(others)
+        others = others[self._turn :] + others[: self._turn]
+        known = [rows[other] for other in others if rows[other].time or any(rows[other].counts)]
+        lost = tuple(sorted(self.lost)) if self._tells_losses else ()
+        return Packet((rows[me], *known[:ROWS]), self._lacking(others), lost, self.group)
+
+    def _lacking(self, others: list[int]) -> tuple[tuple[int, int, bytes], ...]:
+        """Return its new notes, and what the robots nearby lack as far as it knows."""
+        me, logs = self.robot, self.logs
+        own = logs[me]
+        chosen = dict.fromkeys((me, number) for number in range(self._sent, len(own)))
+        self._sent = len(own)
+        counts = self.rows[me].counts
+        for other in others:
+            theirs = self.rows[other].counts
+            if theirs == counts or other in self.lost or not self.waits_for(other):
+                continue
+            for origin in (me, *others):
+                first, last = theirs[origin], counts[origin]
+                for number in range(first, min(last, first + NOTES_EACH)):
+                    if len(chosen) < NOTES:
+                        chosen[origin, number] = None
+        return tuple((origin, number, logs[origin][number]) for origin, number in chosen)
+
+
+class GossipClaims(Claims):
+    """One robot's copy of who owns what, as far as it has heard.
+
+    Attributes:
+        known: all cells that somebody ever claimed.
+        starts: the cell where each robot started, as far as it was heard.
+    """
+
+    __slots__ = ("known", "starts")
+
+    def __init__(self, team_size: int, *, fewest: bool, lazy: bool) -> None:
+        super().__init__(team_size, fewest=fewest, lazy=lazy, delayed=True)
+        self.known: set[int] = set()
+        self.starts: dict[int, int] = {}
+
+    def hear(self, sender: int, note: AnyNote) -> None:
+        """Take in a message; the claims of the dead are void, but tell of cells."""
+        if isinstance(note, Claim | Start):
+            self.known.add(note.cell)
+        if isinstance(note, Start):
+            self.starts[sender] = note.cell
+        super().hear(sender, note)
+
+    def stake(self, cell: int, stake: Stake) -> None:
+        """Let a robot claim a cell."""
+        self.known.add(cell)
+        super().stake(cell, stake)
+
+    def free_the_spared(self) -> None:
+        """Leave it to `GossipExplorer.gives_up`."""
+
+    def replay(self, logs: list[list[bytes]], dead: set[int], missing: set[int]) -> None:
+        """Begin anew: hear all that was said, then who is dead or taken for lost."""
+        for part in (self.owner, self.rivals, self.complete, self.dead, self.spared):
+            part.clear()
+        self.cells = [0] * self.team_size
+        for origin, log in enumerate(logs):
+            for note in log:
+                self.hear(origin, read_note(note))
+        for robot in sorted(dead | missing):
+            self.bury(robot)
+        self.spared -= missing
+        self.changed = True
+
+    def is_left(self, cell: int, group: set[int]) -> bool:
+        """Tell whether a cell is open, and a robot of ``group`` starts there or owns one beside it."""
+        if not self.is_open(cell):
+            return False
+        beside = (self.owner.get(cell + away) for away in AWAY)
+        near = any(stake is not None and stake[2] in group for stake in beside)
+        return near or any(self.starts.get(robot) == cell for robot in group)
+
+
+class GossipExplorer(Explorer):
+    """One robot of ORMSTC that cannot rely on its radio.
+
+    Attributes:
+        missing: robots taken for lost.
+    """
+
+    body: Gossip
+    claims: GossipClaims
+
+    def __init__(self, body: Body, options: Options) -> None:
+        super().__init__(Gossip(body.briefing, options.patience), options)
+        self.claims = GossipClaims(
+            body.team_size, fewest=options.conflict == "fewest-cells", lazy=options.lazy
+        )
+        self.missing: set[int] = set()
+
+    def hear(self, here: GridSight) -> None:
+        """Take in what came with a sight; who is heard of again was not lost."""
+        super().hear(here)
+        if self.missing:
+            back = {robot for robot in self.missing if not self.body.is_silent(robot)}
+            if back:
+                self.give_up(self.missing - back)
+        if self.body.group:
+            self.claims.over = True
+
+    def give_up(self, missing: set[int]) -> None:
+        """Take these robots for lost, and no others."""
+        self.missing = missing
+        self.claims.replay(self.body.logs, self.body.lost, missing)
+
+    def others(self) -> list[int]:
+        """Return the other robots that are neither dead nor taken for lost."""
+        dead = self.claims.dead
+        return [other for other in range(self.body.team_size) if other not in dead | {self.me}]
+
+    # Algorithm 2.
+
+    async def begin(self) -> None:
+        """OMSTC_INIT: announce the start cell, and hear those of the others (l. 9-12)."""
+        body = self.body
+        start = Start(self.cell)
+        self.claims.hear(self.me, start)
+        self.hear(await body.look(gaze=self.corner, messages=(encode(start),)))
+        while any(body.waits_for(other) and not body.logs[other] for other in self.others()):
+            self.hear(await body.wait_for_news(at_most=1.0))
+
+    # Algorithm 3.
+
+    async def claim(self, cell: int, *messages: bytes) -> bool:
+        """Claim a cell; tell whether this robot may construct a tree edge to it (R9)."""
+        claims, body = self.claims, self.body
+        if claims.over:
+            return False
+        note = Claim(self.here.time, cell, claims.cells[self.me])
+        claims.hear(self.me, note)
+        body.say(*messages, encode(note))
+        number = len(body.logs[self.me])
+        if body.speaks:
+            self.hear(await body.exchange())
+        while (won := self.has_won(cell, number)) is None:
+            self.hear(await body.wait_for_news(at_most=1.0))
+        if not won:
+            claims.retract(cell, self.me)
+            body.say(encode(Retract(cell)))
+        return won
+
+    def has_won(self, cell: int, number: int) -> bool | None:
+        """Tell whether its claim, the note of that number, has won; ``None``: not known yet."""
+        body = self.body
+        if not self.claims.holds(self.me, cell):
+            return False
+        for other in self.others():
+            counts = body.rows[other].counts
+            knows = counts[self.me] >= number and len(body.logs[other]) >= counts[other]
+            if not knows and body.waits_for(other):
+                return None
+        return True
+
+    async def over(self) -> bool:
+        """Tell whether everything is covered; if it is not, wait for some news (l. 25)."""
+        claims = self.claims
+        self.body.say(*self.announced())
+        if not claims.over and self.is_covered():
+            self.body.group = (self.me, *self.others())
+            claims.over = True
+        if claims.over:
+            await self.linger()
+            return True
+        if not self.gives_up():
+            await self.rest(1.0)
+        return False
+
+    def is_complete(self, robot: int) -> bool:
+        """Tell whether a robot has covered its cells, and this one has all that it had heard."""
+        return robot in self.claims.complete and self.body.has_all_of(robot)
+
+    def is_covered(self) -> bool:
+        """Tell whether everything that can be reached from here is covered."""
+        claims = self.claims
+        others = {*self.others(), *claims.spared}
+        if self.me not in claims.complete or not all(map(self.is_complete, others)):
+            return False
+        others.add(self.me)
+        return not any(
+            claims.is_left(cell, others) for cell in claims.known if cell not in self.walls
+        )
+
+    def gives_up(self) -> bool:
+        """Give up waiting for robots that are silent; tell whether there were any."""
+        claims, body = self.claims, self.body
+        others = self.others()
+        waited_for = [other for other in others if not self.is_complete(other)]
+        if not waited_for and claims.spared:
+            claims.spared.clear()  # R10
+            claims.changed = True
+            return True
+        silent = set(filter(body.is_silent, waited_for or others))
+        if not silent and body.now - body.news_at >= 4 * max(body.quiet, body.news_at):
+            silent = set(others)
+        if silent:
+            self.give_up(self.missing | silent)
+        return bool(silent)
+
+    async def linger(self) -> None:
+        """Stay until the others know that everything is covered."""
+        body = self.body
+        while any(
+            other not in body.lost and body.lingers_for(other)
+            for other in body.group
+            if other != self.me
+        ):
+            await self.rest(1.0)
+
+    def last_words(self) -> Stop:
+        """Return what the algorithm returns to stop."""
+        return self.body.last_words()
+
+    # Departures.
+
+    async def is_needed(self) -> bool:
+        """Wait, if it is spare, until the cell where it started loses its owner (R4)."""
+        claims = self.claims
+        if not claims.holds(self.me, self.cell):
+            claims.retract(self.cell, self.me)
+            self.body.say(encode(Retract(self.cell)))
+        while not claims.holds(self.me, self.cell):
+            if claims.over or not claims.is_open(self.cell):
+                if await self.over():
+                    return False
+            else:
+                await self.claim(self.cell, *self.withdrawn())
+        return True
