@@ -166,7 +166,8 @@ class Claims:
         complete: robots that have announced completion and not withdrawn it, and how many losses
             each knew of.
         over: whether a robot has found that everything is covered.
-        changed: whether a cell may have become open, or has found an owner, since it was last reset.
+        changed: whether cells may have become open since it was last reset.
+        taken: cells that have found an owner since it was last cleared.
     """
 
     __slots__ = (
@@ -181,6 +182,7 @@ class Claims:
         "owner",
         "rivals",
         "spared",
+        "taken",
         "team_size",
     )
 
@@ -205,6 +207,7 @@ class Claims:
         self.complete: dict[int, int] = {}
         self.over = False
         self.changed = False
+        self.taken: list[int] = []
 
     # What one can ask.
 
@@ -306,4 +309,4 @@ class Claims:
             self.cells[held[2]] -= 1
         self.owner[cell] = stake
         self.cells[stake[2]] += 1
-        self.changed = True
+        self.taken.append(cell)

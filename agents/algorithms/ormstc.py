@@ -48,7 +48,7 @@ from agents.algorithms.claims import (
     Start,
     read_note,
 )
-from agents.algorithms.stc import AWAY, BEFORE, BEHIND, Tree, located, sub_cell
+from agents.algorithms.stc import AWAY, BEFORE, BEHIND, Corner, Tree, located, sub_cell
 from agents.body import Body
 from protocol.codec import encode
 from protocol.errors import AlgorithmError
@@ -121,8 +121,7 @@ class Explorer:
         start: where it started.
         tree: the coarse cells it covers, and how they hang together.
         claims: who owns what.
-        border: the corners of the tree beside which there is a free cell of another robot's, and that
-            cell.
+        border: free cells of other robots beside the tree, and the corners of the tree beside each.
         exits: those of them where there is something to take over now (R6).
         walls: cells that it could not enter although they looked free.
         bodies: sub-cells of its own tree that something lies in.
@@ -145,10 +144,10 @@ class Explorer:
             lazy=options.lazy,
             delayed=self.delay > 0,
         )
-        self.border: dict[tuple[int, int], int] = {}
-        self.exits: set[tuple[int, int]] = set()
+        self.border: dict[int, set[Corner]] = {}
+        self.exits: set[Corner] = set()
         self.walls: set[int] = set()
-        self.bodies: set[tuple[int, int]] = set()
+        self.bodies: set[Corner] = set()
         self.here: GridSight
         self.late = False
         self._looks_at = cells_beside(briefing.sensing)
@@ -212,7 +211,7 @@ class Explorer:
             await self.tell(encode(Retract(cell)))
         return won
 
-    async def drive_around(self, goal: tuple[int, int]) -> None:
+    async def drive_around(self, goal: Corner) -> None:
         """Drive around the tree, which grows on the way, until the robot comes to ``goal``."""
         tree, claims = self.tree, self.claims
         edges = tree.edges
@@ -244,7 +243,7 @@ class Explorer:
 
     async def passes(self, beside: int) -> bool:
         """Keep in mind that a cell here belongs to another robot (l. 5-11); never enter it."""
-        self.border[self.cell, self.corner] = beside
+        self.border.setdefault(beside, set()).add((self.cell, self.corner))
         return False
 
     async def step(self, exit_: int, cell: int, corner: int, *messages: bytes) -> bool:
@@ -278,7 +277,7 @@ class Explorer:
         self.claims.retract(beside, self.me)
         await self.tell(encode(Retract(beside)))
 
-    async def go_past(self, cell: int, corner: int, goal: tuple[int, int]) -> None:
+    async def go_past(self, cell: int, corner: int, goal: Corner) -> None:
         """Get past a sub-cell where it bumped three times, on the other lane of its own tree."""
         blocked = (cell, corner)
         self.bodies.add(blocked)
@@ -303,7 +302,7 @@ class Explorer:
                 await self.cut_off(cell, direction)
         self.hear(await self.body.look(gaze=self.corner))
 
-    async def go_to(self, targets: set[tuple[int, int]], *messages: bytes) -> bool:
+    async def go_to(self, targets: set[Corner], *messages: bytes) -> bool:
         """Go the shortest way to one of some sub-cells of its own tree; tell whether it got there."""
         while True:
             way = self.tree.way((self.cell, self.corner), targets, self.bodies)
@@ -385,19 +384,24 @@ class Explorer:
         if claims.changed:
             claims.changed = False
             self._forward = None
-            self.exits = {
-                corner
-                for corner, beside in (self.border.items() if claims.any_open() else ())
-                if not self.is_own_or_wall(beside) and claims.is_open(beside)
-            }
+            self.exits.clear()
+            for beside, corners in self.border.items() if claims.any_open() else ():
+                if claims.is_open(beside) and not self.is_own_or_wall(beside):
+                    self.exits |= corners
+        elif self.exits:
+            for cell in claims.taken:
+                if not self.exits.isdisjoint(self.border.get(cell, ())):
+                    self.exits -= self.border[cell]
+                    self._forward = None
+        claims.taken.clear()
 
     async def walk(self, *messages: bytes) -> None:
         """Go one move towards the nearest exit, along the own way around (l. 29-30)."""
         if self.bodies:
             if not await self.go_to(self.exits, *messages):
-                for exit_ in self.exits:
-                    self.border.pop(exit_)
-                self.exits = set()
+                for corners in self.border.values():  # out of reach
+                    corners.difference_update(self.exits)
+                self.exits.clear()
             return
         if self._forward is None:
             self._forward = self.nearest_is_ahead()
@@ -422,6 +426,7 @@ class Explorer:
         cell, corner = self.cell, self.corner
         beside = cell + AWAY[corner]
         self.exits.discard((cell, corner))
+        self._forward = None
         if not await self.claim(beside, *messages):
             await self.step(BEFORE[corner], cell, BEFORE[corner])
             return
@@ -490,7 +495,7 @@ class PaperExplorer(Explorer):
     def __init__(self, body: Body, options: Options) -> None:
         super().__init__(body, options)
         self.claims.lazy = False
-        self.connection: dict[int, list[tuple[int, int]]] = {}
+        self.connection: dict[int, list[Corner]] = {}
 
     def hear(self, here: GridSight) -> None:
         """Take in what came with a sight; forget the connections that another robot removes."""

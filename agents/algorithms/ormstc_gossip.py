@@ -109,6 +109,7 @@ class Gossip(Body):
         "_spoke",
         "_tells_losses",
         "_turn",
+        "driven",
         "group",
         "linger",
         "logs",
@@ -119,6 +120,7 @@ class Gossip(Body):
         "quiet",
         "rows",
         "speaks",
+        "told",
     )
 
     def __init__(self, briefing: Briefing, patience: float | None) -> None:
@@ -129,7 +131,9 @@ class Gossip(Body):
         self.rows = [Row(robot, 0.0, nothing, False) for robot in robots]
         self.lost: set[int] = set()
         self.group: tuple[int, ...] = ()
+        self.told: tuple[int, ...] = ()
         self.now = 0.0
+        self.driven = 0.0
         self.news_at = 0.0
         through_team = (self.team_size - 1) * (1 + radio.latency)
         self.linger = max(16.0, 4 * through_team)
@@ -167,8 +171,10 @@ class Gossip(Body):
         messages: tuple[bytes, ...] = (),
     ) -> GridSight:
         """Leave by port ``exit_`` and arrive (one move)."""
-        said = self._said(messages, always=True)
-        return self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
+        said, left_at = self._said(messages, always=True), self.now
+        here = self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
+        self.driven += self.now - left_at
+        return here
 
     async def wait(
         self, duration: float = 1.0, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
@@ -205,9 +211,8 @@ class Gossip(Body):
         return counts[robot] == len(self.logs[robot]) and all(map(int.__le__, counts, mine))
 
     def is_silent(self, robot: int) -> bool:
-        """Tell whether nothing was heard of a robot for as long as the run had taken until then."""
-        heard_at = self.rows[robot].time
-        return self.now - heard_at >= max(self.quiet, heard_at)
+        """Tell whether nothing was heard of a robot for as long as this one has driven in all."""
+        return self.now - self.rows[robot].time >= max(self.quiet, self.driven)
 
     def waits_for(self, robot: int) -> bool:
         """Tell whether a robot was heard of so recently that an answer of it is worth a wait."""
@@ -237,8 +242,8 @@ class Gossip(Body):
             for origin, number, note in packet.notes:
                 self._file(origin, number, note, news)
             losses += packet.lost
-            if self.robot in packet.group:
-                self.group = packet.group
+            if packet.group and not self.group:
+                self.told = packet.group
         losses = [robot for robot in dict.fromkeys(losses) if robot not in self.lost]
         self.lost.update(losses)
         if news:
@@ -360,6 +365,7 @@ class GossipExplorer(Explorer):
 
     Attributes:
         missing: robots taken for lost.
+        stuck_at: when it had the last news, if it has given up waiting for more.
     """
 
     body: Gossip
@@ -371,16 +377,29 @@ class GossipExplorer(Explorer):
             body.team_size, fewest=options.conflict == "fewest-cells", lazy=options.lazy
         )
         self.missing: set[int] = set()
+        self.stuck_at: float | None = None
 
     def hear(self, here: GridSight) -> None:
         """Take in what came with a sight; who is heard of again was not lost."""
         super().hear(here)
-        if self.missing:
-            back = {robot for robot in self.missing if not self.body.is_silent(robot)}
-            if back:
-                self.give_up(self.missing - back)
-        if self.body.group:
+        body = self.body
+        if self.missing and self.stuck_at != body.news_at:
+            silent = set(filter(body.is_silent, self.missing))
+            if silent != self.missing:
+                self.give_up(silent)
+        if body.told and not body.group and self.is_beside(body.told):
+            body.group = body.told
             self.claims.over = True
+
+    def is_beside(self, group: tuple[int, ...]) -> bool:
+        """Tell whether this robot covers the same place as a group: it is one of it, or met it."""
+        claims = self.claims
+        if self.me in group:
+            return True
+        stakes = [claims.owner[cell] for cell in self.border.values() if cell in claims.owner]
+        for cell in self.tree.edges:
+            stakes += claims.rivals.get(cell, [])
+        return any(robot in group for _, _, robot in stakes)
 
     def give_up(self, missing: set[int]) -> None:
         """Take these robots for lost, and no others."""
@@ -475,7 +494,7 @@ class GossipExplorer(Explorer):
             return True
         silent = set(filter(body.is_silent, waited_for or others))
         if not silent and body.now - body.news_at >= 4 * max(body.quiet, body.news_at):
-            silent = set(others)
+            silent, self.stuck_at = set(others), body.news_at
         if silent:
             self.give_up(self.missing | silent)
         return bool(silent)
