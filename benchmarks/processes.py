@@ -51,10 +51,7 @@ def recorded(setting: Setting) -> tuple[list[floor.Exchange], list[list[int]], i
         setting.starts,
         on_write=lambda place, revision, tag: writes.append(TagWrite(place, revision, tag)),
     )
-    drivers = [
-        Driver(setting.algorithm, Body(world.briefing(robot)))
-        for robot in range(robots)
-    ]
+    drivers = [Driver(setting.algorithm, Body(world.briefing(robot))) for robot in range(robots)]
     seq = [0] * robots
     sizes: list[list[int]] = [[] for _ in range(robots)]
     exchanges: list[floor.Exchange] = []

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-BENCHMARKS = ("inprocess", "flat", "start", "bookkeeping", "processes")
+BENCHMARKS = ("inprocess", "ormstc", "flat", "start", "bookkeeping", "processes")
 
 
 def main() -> int:

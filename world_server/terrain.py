@@ -27,6 +27,7 @@ class GraphTerrain:
 
     see: See | None = None
     window = 0
+    stride = 1
 
     def __init__(self, graph: PortGraph) -> None:
         self.graph = graph
@@ -71,11 +72,13 @@ class GridTerrain:
         grid: which sub-cells are blocked.
         see: what a robot sees.
         window: side of the square of sub-cells that it sees; 0 where it sees coarse cells.
+        stride: places a row, as of the grid.
     """
 
     def __init__(self, grid: Grid, scenario: Scenario) -> None:
         self.grid = grid
         self.see, self.window = seer(grid, scenario.sensing)
+        self.stride = grid.stride
         self._blocked = grid.blocked
         step_of = {NORTH: -grid.stride, EAST: 1, SOUTH: grid.stride, WEST: -1}
         self._exits = tuple((step_of[exit_], (exit_ + 2) % 4) for exit_ in range(4))

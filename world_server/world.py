@@ -465,7 +465,7 @@ class World:
     def _sights(self, wave: list[Body]) -> list[AnySight | None]:
         """Return what each robot of a wave sees."""
         time, sense, tags, revisions = self.time, self._sense, self.tags, self.revisions
-        see, believed, position_of = self._see, self._believed, self._terrain.position
+        see, believed, stride = self._see, self._believed, self._terrain.stride
         in_turn_at, resting_at, first_round = self._in_turn, self._resting, self._round == 0
         sights: list[AnySight | None] = []
         for body in wave:
@@ -492,7 +492,7 @@ class World:
                     time, place, entry, sense(place), tag, revision, alone, here, inbox, losses
                 )
             else:
-                position = position_of(place) if believed is None else believed[body.robot]
+                position = divmod(place, stride) if believed is None else believed[body.robot]
                 sight = GridSight(
                     time,
                     place if believed is None else UNKNOWN_PLACE,

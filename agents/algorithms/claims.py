@@ -7,6 +7,7 @@ on a cell are of one instant, and rank decides). What a robot that died had clai
 not (R10): until they are freed.
 """
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -233,16 +234,31 @@ class Claims:
 
     # What one hears.
 
+    def hear_all(self, inbox: Iterable[tuple[int, bytes]]) -> None:
+        """Take in messages as they come by radio.
+
+        Most of them are claims on cells that nobody owns, so these are dealt with here: everybody
+        hears of every cell of the grid.
+        """
+        owner, dead = self.owner, self.dead
+        for sender, message in inbox:
+            note = read_note(message)
+            if note.__class__ is Claim and note.cell not in owner and sender not in dead:
+                self._give(note.cell, (note.time, self.rank(sender, note), sender))
+            else:
+                self.hear(sender, note)
+
+    def rank(self, sender: int, claim: Claim) -> int:
+        """Return the rank of a claim among those of one instant; less is better."""
+        return claim.cells * self.team_size - sender if self.fewest else -sender
+
     def hear(self, sender: int, note: AnyNote) -> None:
         """Take in a message; claims of a robot known to be dead are void (R8)."""
         if sender in self.dead:
             return
         kind = note.__class__
         if kind is Claim:
-            rank = -sender
-            if self.fewest:
-                rank += note.cells * self.team_size  # type: ignore[union-attr, operator]
-            self.stake(note.cell, (note.time, rank, sender))  # type: ignore[union-attr]
+            self.stake(note.cell, (note.time, self.rank(sender, note), sender))  # type: ignore[union-attr, arg-type]
         elif kind is Completion:
             self.complete[sender] = note.dead  # type: ignore[union-attr]
         elif kind is Withdrawal:

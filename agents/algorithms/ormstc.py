@@ -165,9 +165,7 @@ class Explorer:
 
     def hear_messages(self, here: GridSight) -> None:
         """Take in what the others say."""
-        hear = self.claims.hear
-        for sender, message in here.inbox:
-            hear(sender, read_note(message))
+        self.claims.hear_all(here.inbox)
 
     async def tell(self, *messages: bytes) -> None:
         """Broadcast, and hear what the others say in this instant."""
@@ -177,6 +175,8 @@ class Explorer:
     def sees_free(self, direction: int) -> bool:
         """Tell whether the cell beside its own, which it looks at, is free (l. 1-3)."""
         seen = self.here.seen
+        if len(seen) == 1:
+            return seen == b"."
         return all(seen[at] == FREE for at in self._looks_at[self.corner, direction])
 
     # Algorithm 2.
