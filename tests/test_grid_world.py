@@ -687,25 +687,30 @@ def test_a_briefing_tells_position_senses_and_radio() -> None:
         **BLOCK,
     )
     assert briefing.position == (3, 1)
-    assert briefing.sensing == SensingFacts("line-of-sight", 5, True)
+    assert briefing.sensing == SensingFacts(
+        mode="line-of-sight", window=5, range_cells=2.5, bodies_block=True
+    )
     assert briefing.radio == RadioFacts("radius", 0.5, True)
 
 
 @pytest.mark.parametrize(
-    ("sensing", "window"),
+    ("sensing", "window", "range_cells"),
     [
-        ({"mode": "ahead"}, 0),
-        ({"mode": "three"}, 0),
-        ({"mode": "three", "position": "odometry", "drift": 0.2}, 0),
-        ({"mode": "radius", "range_m": 0.4}, 1),
-        ({"mode": "radius", "range_m": 3.0}, 7),
+        ({"mode": "ahead"}, 0, 0.0),
+        ({"mode": "three"}, 0, 0.0),
+        ({"mode": "three", "position": "odometry", "drift": 0.2}, 0, 0.0),
+        ({"mode": "radius", "range_m": 0.2}, 1, 0.4),
+        ({"mode": "radius", "range_m": 1.5}, 7, 3.0),
     ],
 )
-def test_a_briefing_tells_how_large_a_square_a_robot_sees(
-    sensing: dict[str, Any], window: int
+def test_a_briefing_tells_how_far_a_robot_sees(
+    sensing: dict[str, Any], window: int, range_cells: float
 ) -> None:
-    briefing = briefing_of((0, 4), sensing=sensing, radio={"reach": "global"})
-    assert briefing.sensing == SensingFacts(sensing["mode"], window, False)
+    grid = Grid(5, 5, bytes(25), 0.5)
+    briefing = briefing_of((0, 4), grid, sensing=sensing, radio={"reach": "global"})
+    assert briefing.sensing == SensingFacts(
+        mode=sensing["mode"], window=window, range_cells=range_cells
+    )
     assert briefing.position == (0, 4)  # also for one that adds up its moves from there
     assert briefing.radio == RadioFacts("global", 0.0, False)
 

@@ -252,8 +252,9 @@ class Explorer:
         Returns:
             Whether it got there; it may have bumped against something, three times.
         """
-        here = await self.body.move(exit_, gaze=corner, messages=messages)
-        self.hear(here)
+        self.here = here = await self.body.move(exit_, gaze=corner, messages=messages)
+        if here.inbox or here.losses:
+            self.hear(here)
         self.late = False
         if here.entry == exit_ and not await self.tried_again(exit_):
             self.hear(await self.body.look(gaze=self.corner))

@@ -22,7 +22,7 @@ Departures:
 - A robot is done at the end of its last move, not when it hears that all others are done, too.
 """
 
-from agents.algorithms.claims import Claim, Retract, read_note
+from agents.algorithms.claims import Claim, Grant, Retract, read_note
 from agents.algorithms.stc import located, number, row_and_column
 from deploy.verdict.base_ledger import in_words
 from deploy.verdict.coverage import Coverage, coverage_of
@@ -89,6 +89,10 @@ class Agmon:
             self._claimed[robot].add(note.cell)
         elif isinstance(note, Retract):
             self._claimed[robot].discard(note.cell)
+        elif isinstance(note, Grant) and 0 <= note.to < self._team:
+            for cell in note.cells:
+                if self._owner.get(cell) == robot:
+                    self._enter(note.to, cell, cell)
 
     def _arrive(self, robot: int, place: int, time: float) -> None:
         self._at[robot] = place

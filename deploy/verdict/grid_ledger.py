@@ -107,8 +107,11 @@ class GridLedger(BaseLedger):
 
     @property
     def lost(self) -> dict[int, tuple[float, int | None]]:
-        """For each lost robot: when, and the place where it stood."""
-        return {robot: (loss.time, loss.place) for robot, loss in self.losses.items()}
+        """For each lost robot: when, and the place where its body lies: where it stood or left from."""
+        return {
+            robot: (loss.time, loss.place if loss.dart is None else loss.dart >> 2)
+            for robot, loss in self.losses.items()
+        }
 
     @property
     def visits(self) -> int:
