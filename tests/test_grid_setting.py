@@ -183,6 +183,12 @@ def test_what_cannot_be_reached_is_no_task_and_is_told(
     assert len(reached) == to_cover
 
 
+PARTLY_BLOCKED = (
+    "sub-cell [3, 9] lies in a coarse cell that is partly blocked; expected one in a free coarse cell "
+    "(2 x 2, aligned to even rows and columns)"
+)
+
+
 @pytest.mark.parametrize(
     ("world", "expected"),
     [
@@ -190,14 +196,8 @@ def test_what_cannot_be_reached_is_no_task_and_is_told(
             {"start": [2, 2]},
             "field `world.start`: sub-cell [2, 2] is blocked",
         ),
-        (
-            {"starts": [[0, 0], [3, 9]]},
-            (
-                "field `world.starts[1]`: sub-cell [3, 9] lies in a coarse cell that is partly "
-                "blocked; expected one in a free coarse cell (2 x 2, aligned to even rows and "
-                "columns)"
-            ),
-        ),
+        ({"starts": [[0, 0], [3, 9]]}, f"field `world.starts[1]`: {PARTLY_BLOCKED}"),
+        ({"start": "3, 9"}, f"field `world.start`: {PARTLY_BLOCKED}"),
         (
             {"starts": [[0, 0], [0, 0]]},
             "field `world.starts`: several robots start on sub-cell [0, 0]; expected one each",
@@ -209,6 +209,10 @@ def test_what_cannot_be_reached_is_no_task_and_is_told(
         (
             {"starts": [[0, 0], [4, 0]]},
             "field `world.starts[1]`: found [4, 0], expected [row, column] within 4 x 10 sub-cells",
+        ),
+        (
+            {"start": [0, 10]},
+            "field `world.start`: found [0, 10], expected [row, column] within 4 x 10 sub-cells",
         ),
         (
             {"start": [0, -1]},

@@ -586,14 +586,15 @@ def expected_drift(
     st.integers(0, 99),
     st.sampled_from([0.05, 0.3, 0.6, 2.0]),
     st.booleans(),
+    st.sampled_from([BLOCK, {}]),
     st.data(),
 )
 def test_where_a_robot_is_and_believes_to_be_part_as_drawn(
-    grid: Grid, seed: int, drift: float, reset: bool, data: st.DataObject
+    grid: Grid, seed: int, drift: float, reset: bool, fields: Any, data: st.DataObject
 ) -> None:
     start = data.draw(st.sampled_from(grid.free_cells()))
     walk = walk_of(40, seed)
-    found = drifted(grid, start, walk, {"drift": drift, "reset": reset}, seed=seed)
+    found = drifted(grid, start, walk, {"drift": drift, "reset": reset}, seed=seed, **fields)
     assert found == expected_drift(grid, start, walk, seed, drift, reset=reset)
     assert all(grid.is_free(*cell) for cell in found[0])  # walls keep it inside
 

@@ -616,7 +616,7 @@ NONSENSE = {
     "trailing bytes": ([encode(LOOK) + b"\x00"], 1, "not a message of this protocol"),
     "another message": ([encode(Join(SCHEMA_VERSION, 1, "x"))], 1, "not a message"),
     "unknown request": ([encode(["request", 1, ["fly"]])], 1, "not a message"),
-    "unknown field": ([encode(["request", 1, ["look", None, [], 7]])], 1, "not a message"),
+    "unknown field": ([encode(["request", 1, ["look", None, [], None, 7]])], 1, "not a message"),
     "wrong type": ([encode(["request", 1, ["move", None, [], "north"]])], 1, "Expected `int`"),
     "number ahead": ([encode(NumberedRequest(3, Look()))], 3, "request 3 follows 0"),
     "too early": (

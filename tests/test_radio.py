@@ -302,21 +302,21 @@ def test_latency_is_on_graphs_too() -> None:
 
 # Losses and duplicates.
 
-ROUNDS = 600
+MESSAGES = 600
 
 
 def copies_of(seed: int = 1, hearers: int = 3, **radio: Any) -> list[list[int]]:
-    """Let one robot say a number of things; return how many copies of each every hearer got."""
+    """Let one robot say many things, three at once; return how many copies each hearer got."""
     seen: list[list[GridSight]] = [[] for _ in range(hearers)]
-    numbered = [say(number.to_bytes(2, "big")) for number in range(ROUNDS)]
-    scripts = [asking(*numbered, wait(3))]
+    numbered = [number.to_bytes(2, "big") for number in range(MESSAGES)]
+    scripts = [asking(*[say(*numbered[at : at + 3]) for at in range(0, MESSAGES, 3)], wait(3))]
     scripts += [asking(wait(3), seen=sights) for sights in seen]
     conducted(CORRIDOR, scripts, seed=seed, radio={"reach": "global", **radio}, **NO_DEVICES)
     counts = []
     for sights in seen:
         inbox = [int.from_bytes(message, "big") for sight in sights for _, message in sight.inbox]
         assert inbox == sorted(inbox)  # those that come at all come in order
-        counts.append([inbox.count(number) for number in range(ROUNDS)])
+        counts.append([inbox.count(number) for number in range(MESSAGES)])
     return counts
 
 
@@ -326,7 +326,7 @@ def test_messages_are_lost_and_doubled_as_often_as_it_says(
     loss: float, duplicate: float, latency: float
 ) -> None:
     for counts in copies_of(loss=loss, duplicate=duplicate, latency=latency):
-        rates = [counts.count(copies) / ROUNDS for copies in range(4)]
+        rates = [counts.count(copies) / MESSAGES for copies in range(4)]
         assert abs(rates[0] - loss) < 0.06
         assert abs(rates[2] - (1 - loss) * duplicate) < 0.06
         assert rates[3] == 0.0
@@ -337,8 +337,16 @@ def test_messages_are_lost_and_doubled_as_often_as_it_says(
 def test_each_hearer_misses_messages_on_its_own() -> None:
     lost = [[count == 0 for count in counts] for counts in copies_of(loss=0.5)]
     for one, other in combinations(lost, 2):
-        both = sum(a and b for a, b in zip(one, other, strict=True)) / ROUNDS
+        both = sum(a and b for a, b in zip(one, other, strict=True)) / MESSAGES
         assert abs(both - 0.25) < 0.06
+
+
+def test_each_message_is_lost_on_its_own() -> None:
+    """Also of those that were sent at once."""
+    for counts in copies_of(loss=0.5):
+        first, second = ([count == 0 for count in counts[at::3]] for at in (0, 1))
+        both = sum(a and b for a, b in zip(first, second, strict=True)) / len(first)
+        assert abs(both - 0.25) < 0.1
 
 
 def test_the_same_seed_loses_the_same() -> None:

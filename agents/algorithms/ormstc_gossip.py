@@ -3,6 +3,8 @@
 (docstring to come)
 """
 
+import os
+from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
 from typing import Any
@@ -25,6 +27,7 @@ from agents.body import Body
 from protocol.codec import decoder_of, encode
 from protocol.messages import Briefing, GridSight, Stop
 
+FACTOR = float(os.environ.get("FACTOR", "1"))
 NOTES = 32
 """A packet repeats at most so many notes, besides the sender's newest."""
 
@@ -212,7 +215,7 @@ class Gossip(Body):
 
     def is_silent(self, robot: int) -> bool:
         """Tell whether nothing was heard of a robot for as long as this one has driven in all."""
-        return self.now - self.rows[robot].time >= max(self.quiet, self.driven)
+        return self.now - self.rows[robot].time >= max(self.quiet, FACTOR * self.driven)
 
     def waits_for(self, robot: int) -> bool:
         """Tell whether a robot was heard of so recently that an answer of it is worth a wait."""
@@ -322,6 +325,11 @@ class GossipClaims(Claims):
         self.known: set[int] = set()
         self.starts: dict[int, int] = {}
 
+    def hear_all(self, inbox: Iterable[tuple[int, bytes]]) -> None:
+        """Take in notes."""
+        for sender, note in inbox:
+            self.hear(sender, read_note(note))
+
     def hear(self, sender: int, note: AnyNote) -> None:
         """Take in a message; the claims of the dead are void, but tell of cells."""
         if isinstance(note, Claim | Start):
@@ -344,8 +352,7 @@ class GossipClaims(Claims):
             part.clear()
         self.cells = [0] * self.team_size
         for origin, log in enumerate(logs):
-            for note in log:
-                self.hear(origin, read_note(note))
+            self.hear_all((origin, note) for note in log)
         for robot in sorted(dead | missing):
             self.bury(robot)
         self.spared -= missing
@@ -396,7 +403,7 @@ class GossipExplorer(Explorer):
         claims = self.claims
         if self.me in group:
             return True
-        stakes = [claims.owner[cell] for cell in self.border.values() if cell in claims.owner]
+        stakes = [claims.owner[cell] for cell in self.border if cell in claims.owner]
         for cell in self.tree.edges:
             stakes += claims.rivals.get(cell, [])
         return any(robot in group for _, _, robot in stakes)
