@@ -114,7 +114,7 @@ def largest_part(grid: Grid, *, cells: bool) -> list[set[Cell]]:
     return [part for part in parts if len(part) == most]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     grids(marks=".....#"), st.sampled_from(["ormstc", USER]), st.integers(1, 6), st.integers(0, 9)
 )

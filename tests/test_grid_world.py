@@ -107,6 +107,7 @@ def test_who_bumps_comes_back_by_the_exit_it_took(exit_: int) -> None:
     ]
 
 
+@settings(max_examples=60)
 @given(grids(), st.lists(st.integers(0, 3), max_size=40), st.data())
 def test_a_walk_is_that_of_the_naive_model(
     grid: Grid, exits: list[int], data: st.DataObject
@@ -355,7 +356,7 @@ def crowds(draw: st.DrawFn) -> tuple[Grid, list[Cell], dict[str, Any], dict[int,
     return grid, list(starts), fields, {wave: [loss] for wave, loss in lost.items()}
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(crowds())
 def test_bodies_that_block_never_share_a_sub_cell(crowd: Any) -> None:
     """Also not with remains, and however they are killed."""
@@ -369,6 +370,7 @@ def test_bodies_that_block_never_share_a_sub_cell(crowd: Any) -> None:
     assert len(set(final)) == len(final)
 
 
+@settings(max_examples=50)
 @given(crowds(), st.sampled_from([0.2, 0.6, 2.0]), st.booleans())
 def test_bodies_that_drift_never_share_a_sub_cell(crowd: Any, drift: float, reset: bool) -> None:
     grid, starts, fields, lost_in = crowd
@@ -486,6 +488,7 @@ def walk_of(steps: int, seed: int, exits: Sequence[int] = (0, 1, 2, 3)) -> list[
     return [move(stream.choice(exits)) for _ in range(steps)]
 
 
+@settings(max_examples=40)
 @given(grids(), st.integers(0, 99), st.data())
 def test_without_drift_odometry_is_the_known_position(
     grid: Grid, seed: int, data: st.DataObject
@@ -500,6 +503,7 @@ def test_without_drift_odometry_is_the_known_position(
     assert odometry == known
 
 
+@settings(max_examples=40)
 @given(grids(), st.integers(0, 99), st.data())
 def test_without_drift_bodies_in_the_way_do_not_confuse_odometry(
     grid: Grid, seed: int, data: st.DataObject
@@ -625,7 +629,7 @@ def test_without_reset_errors_add_up() -> None:
     """After n moves the robot is off by the root of n times the drift, near enough."""
     drift, steps = 0.08, 1000
     offs = []
-    for seed in range(12):
+    for seed in range(8):
         sensing = {"drift": drift, "reset": False}
         true, believed, _ = drifted(WIDE, (200, 200), walk_of(steps, seed), sensing, seed=seed)
         offs += [true[-1][axis] - believed[-1][axis] for axis in (0, 1)]

@@ -56,6 +56,7 @@ def news(of: list[tuple[float, list[bytes]]]) -> list[tuple[float, list[bytes]]]
 # Reach.
 
 
+@settings(max_examples=60)
 @given(grids(), st.sampled_from([1.0, 2.0, 4.0, 5.0, 8.0, 25.0]), st.booleans(), st.data())
 def test_who_is_within_a_radius_hears(
     grid: Grid, squared: float, line_of_sight: bool, data: st.DataObject

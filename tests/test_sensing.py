@@ -52,6 +52,7 @@ def expected_coarse(grid: Grid, stands: Cell, believes: Cell, gaze: int | None, 
     return b"".join(marks)
 
 
+@settings(max_examples=60)
 @given(grids(), st.sampled_from(["ahead", "three"]), st.sampled_from(["known", "odometry"]))
 def test_coarse_cells_are_sensed_as_the_naive_model_says(
     grid: Grid, mode: str, position: str
@@ -123,6 +124,7 @@ def test_a_coarse_cell_that_is_cut_off_by_the_border_is_blocked() -> None:
     assert [sees(terrain, (2, 2), gaze) for gaze in GAZES[1:]] == [b"#"] * 4
 
 
+@settings(max_examples=50)
 @given(grids(), st.sampled_from(["ahead", "three"]), st.data())
 def test_nothing_but_the_cells_looked_at_reaches_a_robot(
     grid: Grid, mode: str, data: st.DataObject
@@ -195,6 +197,7 @@ def test_a_line_of_sight_is_sensed_as_the_naive_model_says(
     assert seen == expected_square(grid, cell, squared, hidden=True)
 
 
+@settings(max_examples=50)
 @given(grids(), st.sampled_from(["radius", "line-of-sight"]), st.data())
 def test_nothing_beyond_the_range_reaches_a_robot(
     grid: Grid, mode: str, data: st.DataObject
@@ -212,6 +215,7 @@ def test_nothing_beyond_the_range_reaches_a_robot(
     assert found[0] == found[1]
 
 
+@settings(max_examples=40)
 @given(grids(), st.sampled_from(["radius", "line-of-sight"]), st.data())
 def test_a_square_is_seen_from_where_a_robot_really_is(
     grid: Grid, mode: str, data: st.DataObject

@@ -542,12 +542,14 @@ class PaperExplorer(Explorer):
                 continue
             self.exits = set(self.connection.pop(lost))  # l. 26-29
             withdrawal: tuple[bytes, ...] = (WITHDRAWAL, encode(Removal(lost)))
-            claims.complete.pop(self.me)  # and l. 36 does not announce it again
+            claims.complete.pop(self.me, None)  # and l. 36 does not announce it again
             self._forward = None
             while (self.cell, self.corner) not in self.exits:
                 await self.walk(*withdrawal)
                 withdrawal = ()
-            await self.take_over(*withdrawal)
+            beside = self.cell + AWAY[self.corner]
+            if not self.is_own_or_wall(beside) and claims.is_open(beside):
+                await self.take_over(*withdrawal)
 
 
 def explorer_of(body: Body, options: Options) -> Explorer:

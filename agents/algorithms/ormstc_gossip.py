@@ -12,15 +12,7 @@ from typing import Any
 from msgspec import Struct
 from msgspec.structs import replace
 
-from agents.algorithms.claims import (
-    AnyNote,
-    Claim,
-    Claims,
-    Retract,
-    Stake,
-    Start,
-    read_note,
-)
+from agents.algorithms.claims import AnyNote, Claim, Claims, Note, Retract, Start
 from agents.algorithms.ormstc import Explorer, Options
 from agents.algorithms.stc import AWAY
 from agents.body import Body
@@ -36,6 +28,16 @@ NOTES_EACH = 8
 
 ROWS = 16
 """A packet holds the rows of at most so many other robots."""
+
+
+class Covered(Note, frozen=True, tag="covered"):
+    """Every cell that the sender has claimed so far, and not given up, is covered.
+
+    Attributes:
+        beside: free cells beside these that are not its own, less those it has told of before.
+    """
+
+    beside: tuple[int, ...]
 
 
 class Row(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -71,7 +73,21 @@ class Packet(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     group: tuple[int, ...] = ()
 
 
-_decode: Any = decoder_of(Packet)
+GossipNote = Start | Claim | Retract | Covered
+
+_decode_note: Any = decoder_of(GossipNote)  # type: ignore[arg-type]
+_decode_packet: Any = decoder_of(Packet)
+
+
+@lru_cache(maxsize=4096)
+def read_note(data: bytes) -> GossipNote:
+    """Decode a note.
+
+    Raises:
+        MessageError: If it is none.
+    """
+    note: GossipNote = _decode_note(data)
+    return note
 
 
 @lru_cache(maxsize=1024)
@@ -81,7 +97,7 @@ def read_packet(data: bytes) -> Packet:
     Raises:
         MessageError: If it is none.
     """
-    packet: Packet = _decode(data)
+    packet: Packet = _decode_packet(data)
     return packet
 
 
@@ -207,12 +223,6 @@ class Gossip(Body):
 
     # What it knows of others.
 
-    def has_all_of(self, robot: int) -> bool:
-        """Tell whether it has all notes that ``robot`` had, and its newest row."""
-        counts = self.rows[robot].counts
-        mine = map(len, self.logs)
-        return counts[robot] == len(self.logs[robot]) and all(map(int.__le__, counts, mine))
-
     def is_silent(self, robot: int) -> bool:
         """Tell whether nothing was heard of a robot for as long as this one has driven in all."""
         return self.now - self.rows[robot].time >= max(self.quiet, FACTOR * self.driven)
@@ -311,67 +321,118 @@ class Gossip(Body):
 
 
 class GossipClaims(Claims):
-    """One robot's copy of who owns what, as far as it has heard.
+    """One robot's copy of who owns what, and of what is covered for good.
 
     Attributes:
-        known: all cells that somebody ever claimed.
+        missing: robots taken for lost; they are among the dead.
+        held: the cells that each robot has claimed and not given up, whoever owns them.
+        covered: cells that are covered, whatever becomes of those who did it.
+        known: cells known to be free.
         starts: the cell where each robot started, as far as it was heard.
+        freed: whether also what the dead had covered is open: it is in the way.
     """
 
-    __slots__ = ("known", "starts")
+    __slots__ = ("covered", "freed", "held", "known", "missing", "starts")
 
     def __init__(self, team_size: int, *, fewest: bool, lazy: bool) -> None:
         super().__init__(team_size, fewest=fewest, lazy=lazy, delayed=True)
+        self.missing: set[int] = set()
+        self.held: list[set[int]] = [set() for _ in range(team_size)]
+        self.covered: set[int] = set()
         self.known: set[int] = set()
         self.starts: dict[int, int] = {}
+        self.freed = False
+
+    # What one can ask.
+
+    def is_lost(self, cell: int) -> bool:
+        """Tell whether nobody owns a cell, or only the dead do."""
+        stake = self.owner.get(cell)
+        return stake is None or stake[2] in self.dead
+
+    def is_open(self, cell: int) -> bool:
+        """Tell whether a cell is to be covered by whoever comes first."""
+        if not self.is_lost(cell):
+            return False
+        if cell not in self.covered or self.freed:
+            return True
+        stake = self.owner.get(cell)
+        return not self.lazy and stake is not None and stake[2] not in self.missing
+
+    def around(self, start: int, walls: set[int]) -> tuple[set[int], set[int]]:
+        """Return the covered cells that hang together with ``start``, and what is left beside them."""
+        if start not in self.covered:
+            return set(), {start}
+        covered, left, ahead = {start}, set(), [start]
+        while ahead:
+            cell = ahead.pop()
+            for away in AWAY:
+                beside = cell + away
+                if beside in self.covered and beside not in covered:
+                    covered.add(beside)
+                    ahead.append(beside)
+                elif beside in self.known and beside not in covered and beside not in walls:
+                    left.add(beside)
+        return covered, left
+
+    def awaited(self, left: set[int]) -> set[int]:
+        """Return who is to cover these cells: their owners, or else those who own what is beside."""
+        robots = set()
+        for cell in left:
+            lost = self.is_lost(cell)
+            for at in [cell + away for away in AWAY] if lost else [cell]:
+                if not self.is_lost(at):
+                    robots.add(self.owner[at][2])
+        return robots
+
+    # What one hears.
 
     def hear_all(self, inbox: Iterable[tuple[int, bytes]]) -> None:
         """Take in notes."""
         for sender, note in inbox:
             self.hear(sender, read_note(note))
 
-    def hear(self, sender: int, note: AnyNote) -> None:
-        """Take in a message; the claims of the dead are void, but tell of cells."""
+    def hear(self, sender: int, note: AnyNote | Covered) -> None:
+        """Take in a note; the dead own nothing, but what they have covered is covered."""
+        if isinstance(note, Covered):
+            self.covered |= self.held[sender]
+            self.known.update(note.beside)
+            self.changed = True
+            return
         if isinstance(note, Claim | Start):
             self.known.add(note.cell)
-        if isinstance(note, Start):
-            self.starts[sender] = note.cell
+            self.held[sender].add(note.cell)
+            if isinstance(note, Start):
+                self.starts[sender] = note.cell
+        elif isinstance(note, Retract):
+            self.held[sender].discard(note.cell)
         super().hear(sender, note)
 
-    def stake(self, cell: int, stake: Stake) -> None:
-        """Let a robot claim a cell."""
-        self.known.add(cell)
-        super().stake(cell, stake)
-
     def free_the_spared(self) -> None:
-        """Leave it to `GossipExplorer.gives_up`."""
+        """Nobody is spared here: see `freed`."""
 
     def replay(self, logs: list[list[bytes]], dead: set[int], missing: set[int]) -> None:
         """Begin anew: hear all that was said, then who is dead or taken for lost."""
-        for part in (self.owner, self.rivals, self.complete, self.dead, self.spared):
-            part.clear()
+        self.owner.clear()
+        self.rivals.clear()
+        self.taken.clear()
+        self.dead.clear()
         self.cells = [0] * self.team_size
+        for held in self.held:
+            held.clear()
         for origin, log in enumerate(logs):
             self.hear_all((origin, note) for note in log)
         for robot in sorted(dead | missing):
             self.bury(robot)
-        self.spared -= missing
+        self.missing = missing
+        self.freed = False
         self.changed = True
-
-    def is_left(self, cell: int, group: set[int]) -> bool:
-        """Tell whether a cell is open, and a robot of ``group`` starts there or owns one beside it."""
-        if not self.is_open(cell):
-            return False
-        beside = (self.owner.get(cell + away) for away in AWAY)
-        near = any(stake is not None and stake[2] in group for stake in beside)
-        return near or any(self.starts.get(robot) == cell for robot in group)
 
 
 class GossipExplorer(Explorer):
     """One robot of ORMSTC that cannot rely on its radio.
 
     Attributes:
-        missing: robots taken for lost.
         stuck_at: when it had the last news, if it has given up waiting for more.
     """
 
@@ -383,16 +444,16 @@ class GossipExplorer(Explorer):
         self.claims = GossipClaims(
             body.team_size, fewest=options.conflict == "fewest-cells", lazy=options.lazy
         )
-        self.missing: set[int] = set()
         self.stuck_at: float | None = None
+        self._told: set[int] = set()
 
     def hear(self, here: GridSight) -> None:
         """Take in what came with a sight; who is heard of again was not lost."""
         super().hear(here)
-        body = self.body
-        if self.missing and self.stuck_at != body.news_at:
-            silent = set(filter(body.is_silent, self.missing))
-            if silent != self.missing:
+        body, missing = self.body, self.claims.missing
+        if missing and self.stuck_at != body.news_at:
+            silent = set(filter(body.is_silent, missing))
+            if silent != missing:
                 self.give_up(silent)
         if body.told and not body.group and self.is_beside(body.told):
             body.group = body.told
@@ -400,17 +461,13 @@ class GossipExplorer(Explorer):
 
     def is_beside(self, group: tuple[int, ...]) -> bool:
         """Tell whether this robot covers the same place as a group: it is one of it, or met it."""
-        claims = self.claims
         if self.me in group:
             return True
-        stakes = [claims.owner[cell] for cell in self.border if cell in claims.owner]
-        for cell in self.tree.edges:
-            stakes += claims.rivals.get(cell, [])
-        return any(robot in group for _, _, robot in stakes)
+        near = self.border.keys() | self.tree.edges.keys()
+        return any(not near.isdisjoint(self.claims.held[robot]) for robot in group)
 
     def give_up(self, missing: set[int]) -> None:
         """Take these robots for lost, and no others."""
-        self.missing = missing
         self.claims.replay(self.body.logs, self.body.lost, missing)
 
     def others(self) -> list[int]:
@@ -422,8 +479,7 @@ class GossipExplorer(Explorer):
 
     async def begin(self) -> None:
         """OMSTC_INIT: announce the start cell, and hear those of the others (l. 9-12)."""
-        body = self.body
-        start = Start(self.cell)
+        body, start = self.body, Start(self.cell)
         self.claims.hear(self.me, start)
         self.hear(await body.look(gaze=self.corner, messages=(encode(start),)))
         while any(body.waits_for(other) and not body.logs[other] for other in self.others()):
@@ -445,8 +501,7 @@ class GossipExplorer(Explorer):
         while (won := self.has_won(cell, number)) is None:
             self.hear(await body.wait_for_news(at_most=1.0))
         if not won:
-            claims.retract(cell, self.me)
-            body.say(encode(Retract(cell)))
+            self.give_back(cell)
         return won
 
     def has_won(self, cell: int, number: int) -> bool | None:
@@ -461,49 +516,52 @@ class GossipExplorer(Explorer):
                 return None
         return True
 
+    def give_back(self, cell: int) -> None:
+        """Give a cell up that it has claimed."""
+        retract = Retract(cell)
+        self.claims.hear(self.me, retract)
+        self.body.say(encode(retract))
+
+    def announced(self) -> tuple[bytes, ...]:
+        """Return what tells that its cells are covered, if it has not told yet (l. 24)."""
+        claims = self.claims
+        if claims.held[self.me] <= claims.covered:
+            return ()
+        beside = {cell for cell in self.border if cell not in self.tree} - self._told
+        self._told |= beside
+        note = Covered(tuple(sorted(beside)))
+        claims.hear(self.me, note)
+        return (encode(note),)
+
     async def over(self) -> bool:
         """Tell whether everything is covered; if it is not, wait for some news (l. 25)."""
-        claims = self.claims
-        self.body.say(*self.announced())
-        if not claims.over and self.is_covered():
-            self.body.group = (self.me, *self.others())
+        claims, body = self.claims, self.body
+        body.say(*self.announced())
+        if not claims.over:
+            covered, left = claims.around(self.start[0], self.walls)
+            if left and (self.others() or not claims.freed):
+                if not self.gives_up(left):
+                    await self.rest(1.0)
+                return False
+            body.group = tuple(r for r, cell in claims.starts.items() if cell in covered and not left)
+            body.group = body.group or (self.me,)
             claims.over = True
-        if claims.over:
-            await self.linger()
-            return True
-        if not self.gives_up():
-            await self.rest(1.0)
-        return False
+        await self.linger()
+        return True
 
-    def is_complete(self, robot: int) -> bool:
-        """Tell whether a robot has covered its cells, and this one has all that it had heard."""
-        return robot in self.claims.complete and self.body.has_all_of(robot)
-
-    def is_covered(self) -> bool:
-        """Tell whether everything that can be reached from here is covered."""
-        claims = self.claims
-        others = {*self.others(), *claims.spared}
-        if self.me not in claims.complete or not all(map(self.is_complete, others)):
-            return False
-        others.add(self.me)
-        return not any(
-            claims.is_left(cell, others) for cell in claims.known if cell not in self.walls
-        )
-
-    def gives_up(self) -> bool:
+    def gives_up(self, left: set[int]) -> bool:
         """Give up waiting for robots that are silent; tell whether there were any."""
         claims, body = self.claims, self.body
-        others = self.others()
-        waited_for = [other for other in others if not self.is_complete(other)]
-        if not waited_for and claims.spared:
-            claims.spared.clear()  # R10
-            claims.changed = True
+        awaited = claims.awaited(left) - {self.me}
+        if not awaited and not claims.freed:
+            claims.freed = claims.changed = True  # R10
             return True
-        silent = set(filter(body.is_silent, waited_for or others))
+        awaited = awaited or set(self.others())
+        silent = set(filter(body.is_silent, awaited))
         if not silent and body.now - body.news_at >= 4 * max(body.quiet, body.news_at):
-            silent, self.stuck_at = set(others), body.news_at
+            silent, self.stuck_at = set(self.others()), body.news_at
         if silent:
-            self.give_up(self.missing | silent)
+            self.give_up(claims.missing | silent)
         return bool(silent)
 
     async def linger(self) -> None:
@@ -517,7 +575,7 @@ class GossipExplorer(Explorer):
             await self.rest(1.0)
 
     def last_words(self) -> Stop:
-        """Return what the algorithm returns to stop."""
+        """Return what the robot stops with."""
         return self.body.last_words()
 
     # Departures.
@@ -526,12 +584,11 @@ class GossipExplorer(Explorer):
         """Wait, if it is spare, until the cell where it started loses its owner (R4)."""
         claims = self.claims
         if not claims.holds(self.me, self.cell):
-            claims.retract(self.cell, self.me)
-            self.body.say(encode(Retract(self.cell)))
+            self.give_back(self.cell)
         while not claims.holds(self.me, self.cell):
             if claims.over or not claims.is_open(self.cell):
                 if await self.over():
                     return False
             else:
-                await self.claim(self.cell, *self.withdrawn())
+                await self.claim(self.cell)
         return True
