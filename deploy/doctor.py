@@ -17,6 +17,8 @@ PACKAGES = {
     "eclipse-zenoh": "zenoh",
     "msgspec": "msgspec",
     "numpy": "numpy",
+    "pillow": "PIL",
+    "pyyaml": "yaml",
     "networkx": "networkx",
     "matplotlib": "matplotlib",
     "rich": "rich",
