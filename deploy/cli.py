@@ -1,4 +1,4 @@
-"""The command line: `canopy run | replay | map | doctor`.
+"""The command line: `canopy run | replay | map | paper | doctor`.
 
 Exit codes: 0, the run is complete and all guarantees hold; 1, it is not; 2, a scenario, a map or the
 command line cannot be used: one line on stderr names file, field and fix.
@@ -27,6 +27,7 @@ examples:
   canopy run demo.toml --set 'faults=[{kill="robot:3", at=40}]' --engine inprocess
   canopy replay runs/demo-1 --until 30
   canopy map my_cave.edges
+  canopy paper ormstc --quick
 """
 
 
@@ -140,9 +141,36 @@ def _parser() -> argparse.ArgumentParser:
     )
     map_.set_defaults(command=_map)
 
+    paper = commands.add_parser(
+        "paper",
+        help="play a paper's experiments, with figures and tables",
+        description="Play the experiments of a paper, print tables, and write figures and numbers.",
+    )
+    paper.add_argument("name", metavar="NAME", help="the paper: ormstc")
+    paper.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="PART",
+        help="play one part: figure13, options, losses or helping; may be given often",
+    )
+    paper.add_argument("--quick", action="store_true", help="play a few runs of each part")
+    paper.add_argument(
+        "--inputs", type=_count, metavar="N", help="worlds and starts of the part losses (100)"
+    )
+    paper.add_argument("--out", type=Path, metavar="DIR", help="folder for files (runs/paper-NAME)")
+    paper.add_argument("--json", action="store_true", help="print the numbers as one JSON object")
+    paper.set_defaults(command=_paper)
+
     doctor = commands.add_parser("doctor", help="check this machine, and list the algorithms")
     doctor.set_defaults(command=_doctor)
     return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number from 1")
+    return int(text)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -273,6 +301,27 @@ def _map(arguments: argparse.Namespace) -> int:
             print(line)
         print(f"picture in {picture}")
     return 0
+
+
+def _paper(arguments: argparse.Namespace) -> int:
+    from importlib.metadata import entry_points
+
+    # Experiments stand on this floor and may be left out of an installation: found by name.
+    papers = {entry.name: entry for entry in entry_points(group="canopy.papers")}
+    if not papers:
+        raise MachineError("the package 'experiments' is not installed; run `make setup`")
+    if arguments.name not in papers:
+        known = ", ".join(sorted(papers))
+        raise InputError(f"paper {arguments.name}: no such paper; expected {known}")
+    play = papers[arguments.name].load()
+    code: int = play(
+        out=arguments.out,
+        only=arguments.only,
+        quick=arguments.quick,
+        inputs=arguments.inputs,
+        as_json=arguments.json,
+    )
+    return code
 
 
 def _doctor(_: argparse.Namespace) -> int:

@@ -198,20 +198,27 @@ def reach_of(grid: Grid, starts: Sequence[Cell], *, cells: bool) -> set[Cell]:
 
 
 def _drawn(grid: Grid, scenario: Scenario, *, cells: bool) -> list[Cell]:
-    """Draw a start for each robot, no two alike, all in the largest part of the grid."""
+    """Draw a start for each robot, no two alike, in the largest part of the grid that holds them.
+
+    A team that no part holds starts in several: the largest, and the next ones as far as needed.
+    """
     whole = grid.complete_cells() if cells else grid.free_cells()
     flood = grid.reachable_cells if cells else grid.reachable
     seen: set[Cell] = set()
-    largest: set[Cell] = set()
+    parts: list[set[Cell]] = []
     for cell in whole:
         if cell not in seen:
-            part = flood([cell])
-            seen |= part
-            largest = max(largest, part, key=len)
-    among = [one for cell in sorted(largest) for one in (sub_cells(cell) if cells else (cell,))]
+            parts.append(flood([cell]))
+            seen |= parts[-1]
+    parts.sort(key=len, reverse=True)
+    among: list[Cell] = []
     robots = scenario.team.robots
+    for part in parts:
+        if len(among) >= robots:
+            break
+        among += (one for cell in sorted(part) for one in (sub_cells(cell) if cells else (cell,)))
     if len(among) < robots:
-        kind = "sub-cells of connected complete coarse cells" if cells else "connected sub-cells"
+        kind = "sub-cells of complete coarse cells" if cells else "free sub-cells"
         raise ScenarioError(f"field `team.robots`: found {robots}; there are {len(among)} {kind}")
     return spawn(scenario.seed, "starts").sample(among, robots)
 

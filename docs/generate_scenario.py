@@ -48,11 +48,22 @@ field, a wrong type or a value out of range is refused in one line before anythi
 is read as TOML, and as plain text if it is none. Paths *in the file* are relative to the file; a
 path given by `--set` is relative to the current folder.
 
-`algorithm_options` of `mr-dfs`: `variant` (`"corrected"`, the default, or `"paper"`) and `version`
-(`"graph"`, the default, or `"tree"`, which is for trees only). Of `ormstc`: `variant` as above,
-`conflict` (who wins a cell that several claim at once: the highest `"id"`, the default, or who has the
-`"fewest-cells"`), `lazy` (`true`, the default: what a robot had covered before it died is left alone)
-and `scan` (`"counter-clockwise"`, the default, or `"clockwise"`, which is for one robot only).
+`algorithm_options` of `mr-dfs`:
+
+- `variant`: `"corrected"` (default) or `"paper"`, as printed there.
+- `version`: `"graph"` (default) or `"tree"`, which is for trees only.
+
+`algorithm_options` of `ormstc`:
+
+- `variant`: `"corrected"` (default), `"paper"`, or `"helping"`: robots that have nothing left to do
+  take a share of what others have.
+- `conflict`: who wins a cell that several claim at once, the highest `"id"` (default) or who has the
+  `"fewest-cells"`.
+- `lazy`: whether cells that a robot had covered completely before it died are left alone (default
+  `true`).
+- `scan`: `"counter-clockwise"` (default) or `"clockwise"`, which is for one robot only.
+- `patience`: where the radio is not reliable and global, how old the last sign of life of a robot may
+  be whose answer another one awaits before it enters a cell, time units.
 """
 
 GENERATE = """\

@@ -117,8 +117,8 @@ class WorldSection(Section, frozen=True, kw_only=True):
     #: Start of all robots: a vertex, on a grid a sub-cell ``[row, column]``. Default: on a graph the
     #: first vertex of the file, on a grid as ``starts = "random"``.
     starts: tuple[Start, ...] | Literal["random"] | None = None
-    #: Start of each robot instead; ``"random"``: drawn from the seed, no two alike, all in the largest
-    #: part of a grid.
+    #: Start of each robot instead; ``"random"``: drawn from the seed, no two alike, in the largest part
+    #: of a grid (in several where none holds the team).
     cell_m: Positive | None = None
     #: Grids: side of a sub-cell, metres, which is the size of a robot. Default: one character or pixel
     #: of the file.

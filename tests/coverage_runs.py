@@ -63,7 +63,9 @@ def faults_of(kills: Iterable[Kill]) -> list[dict[str, Any]]:
     ]
 
 
-def little(rng: Random, *, side: int = 6, robots: int = 5, ticks: int | None = None) -> Little:
+def little(
+    rng: Random, *, side: int = 6, robots: int = 5, ticks: int | None = None, spares: bool = True
+) -> Little:
     """Draw a world.
 
     Args:
@@ -71,20 +73,23 @@ def little(rng: Random, *, side: int = 6, robots: int = 5, ticks: int | None = N
         side: it has at most so many coarse cells each way.
         robots: at most so many.
         ticks: they die up to this tick; by default while there is much to do.
+        spares: whether several may start in one coarse cell.
     """
     rows, cols = rng.randint(1, side), rng.randint(1, side)
     cells = [(row, col) for row in range(rows) for col in range(cols)]
     free = sorted(rng.sample(cells, rng.randint((len(cells) + 1) // 2, len(cells))))
     text = tuple("".join("#."[(row, col) in free] for col in range(cols)) for row in range(rows))
     places = [at for cell in free for at in sub_cells(cell)]
+    if not spares:
+        places = [rng.choice(list(sub_cells(cell))) for cell in free]
     starts = tuple(rng.sample(places, rng.randint(1, min(robots, len(places)))))
-    ticks = ticks or len(places) // 2
+    ticks = ticks or 2 * len(free)
     victims = rng.sample(range(len(starts)), rng.randint(0, len(starts) - 1))
     kills = tuple((rng.randint(1, ticks), robot, rng.choice(["pre", "mid"])) for robot in victims)
     return Little(text, starts, kills)
 
 
-def littles(**bounds: int) -> st.SearchStrategy[Little]:
+def littles(**bounds: Any) -> st.SearchStrategy[Little]:
     """Little worlds; `little` says which ``bounds`` there are."""
     return st.randoms(use_true_random=False).map(lambda rng: little(rng, **bounds))
 
@@ -107,6 +112,32 @@ def any_kills(rng: Random, world: Little, *, instants: bool = False) -> list[dic
             fault["round"] = rng.randint(0, 4)
         faults.append(fault)
     return faults
+
+
+JITTERS = (0.0, 0.3, 0.9, "exponential")
+SPEEDS = (0.5, 1.0, 2.0, 3.0)
+
+
+def circumstances(
+    rng: Random, robots: int, *, event: bool | None = None, latency: bool = True
+) -> dict[str, Any]:
+    """Draw what a theorem must not depend on: clock, speeds, latency, options.
+
+    Args:
+        rng: draws it.
+        robots: so many.
+        event: whether under the event clock; ``None``: that is drawn, too.
+        latency: whether messages may take time.
+    """
+    options: dict[str, Any] = {"conflict": rng.choice(["id", "fewest-cells"])}
+    fields: dict[str, Any] = {"seed": rng.randint(0, 999), "algorithm_options": options}
+    if rng.random() < 0.5 if event is None else event:
+        fields["clock"] = {"mode": "event", "jitter": rng.choice(JITTERS)}
+        fields["team"] = {"speed": [rng.choice(SPEEDS) for _ in range(robots)]}
+    if latency:
+        options["lazy"] = rng.random() < 0.5
+        fields["radio"] = {"latency": rng.choice([0.0, 0.0, 0.3, 1.0, 2.0, 3.5])}
+    return fields
 
 
 # Runs.
@@ -217,15 +248,19 @@ class WatchedWorld(World):
         after_instant: called before any robot acts at another time, and at the end.
     """
 
-    after_instant: Callable[[], None] = staticmethod(lambda: None)
+    after_instant: Callable[["WatchedWorld"], None] = staticmethod(lambda _: None)
     _present = 0.0
+
+    def alive_robots(self) -> set[int]:
+        """Return the robots that are not lost."""
+        return {body.robot for body in self.bodies if body.lost_at is None}
 
     def resume(self, given: Input) -> Output:
         """Go on to the next output."""
         output = super().resume(given)
         if isinstance(output, End) or (isinstance(output, Wave) and output.time > self._present):
             self._present = self.time
-            self.after_instant()
+            self.after_instant(self)
         return output
 
 
@@ -246,7 +281,7 @@ def covered(
     grid: Grid,
     starts: Sequence[Cell],
     *,
-    after_instant: Callable[[], None] | None = None,
+    after_instant: Callable[["WatchedWorld"], None] | None = None,
     **fields: Any,
 ) -> Covered:
     """Play ORMSTC, or what ``fields`` say, on the in-process engine.
@@ -266,7 +301,7 @@ def covered(
     algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
     end, failures = play(scenario, world, algorithm)
     errors = [*failures.values(), *map(str, world.refusals.values())]
-    lost = {body.robot for body in world.bodies if body.lost_at is not None}
+    lost = set(range(len(starts))) - world.alive_robots()
     visits = visits_of(grid, starts, events)
     return Covered(grid, starts, end.status, errors, visits, lost, events)
 
@@ -301,6 +336,7 @@ def setting_on(
     folder: Path, lines: Sequence[str], starts: Sequence[Cell], **fields: Any
 ) -> Setting:
     """Write a map, a character for each sub-cell, and prepare a run of ORMSTC on it."""
+    folder.mkdir(exist_ok=True)
     path = folder / "map.txt"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     world = {**fields.pop("world", {}), "map": str(path), "starts": [list(at) for at in starts]}

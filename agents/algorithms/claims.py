@@ -290,7 +290,8 @@ class Claims:
 
     def retract(self, cell: int, robot: int) -> None:
         """Let a robot give a cell up."""
-        left = [stake for stake in self.rivals.pop(cell, ()) if stake[2] != robot]
+        gone = {robot, *self.dead}
+        left = [stake for stake in self.rivals.pop(cell, ()) if stake[2] not in gone]
         if self.holds(robot, cell):
             self.cells[robot] -= 1
             del self.owner[cell]

@@ -482,6 +482,8 @@ class Explorer:
             while self.corner != direction:
                 await self.step(BEFORE[self.corner], cell, BEFORE[self.corner])
             await self.step(direction, beside, BEHIND[direction])
+        if len(self.tree.edges) == 1:  # nowhere to go: it covers its own cell all the same
+            await self.step(BEFORE[self.corner], self.cell, BEFORE[self.corner])
         while (self.cell, self.corner) != self.start:
             await self.step(BEFORE[self.corner], self.cell, BEFORE[self.corner])  # l. 23
 

@@ -3,7 +3,6 @@
 (docstring to come)
 """
 
-import os
 from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
@@ -19,25 +18,30 @@ from agents.body import Body
 from protocol.codec import decoder_of, encode
 from protocol.messages import Briefing, GridSight, Stop
 
-FACTOR = float(os.environ.get("FACTOR", "1"))
 NOTES = 32
-"""A packet repeats at most so many notes, besides the sender's newest."""
+"""A packet holds at most so many notes."""
 
 NOTES_EACH = 8
-"""Of these at most so many of one robot for one robot."""
+"""Of these at most so many of one robot to one robot that lacks them."""
+
+CELLS = 64
+"""A note tells of at most so many cells."""
 
 ROWS = 16
 """A packet holds the rows of at most so many other robots."""
 
 
+class Beside(Note, frozen=True, tag="beside"):
+    """These cells beside the sender's own are free."""
+
+    cells: tuple[int, ...]
+
+
 class Covered(Note, frozen=True, tag="covered"):
     """Every cell that the sender has claimed so far, and not given up, is covered.
 
-    Attributes:
-        beside: free cells beside these that are not its own, less those it has told of before.
+    All free cells beside these are its own, too, or it has told of them.
     """
-
-    beside: tuple[int, ...]
 
 
 class Row(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -47,13 +51,13 @@ class Row(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=F
         robot: which robot.
         time: when that was.
         counts: how many notes of each robot it had.
-        covered: whether it knew that everything is covered.
+        done: whether it knew that everything is covered that can be reached from its start.
     """
 
     robot: int
     time: float
     counts: tuple[int, ...]
-    covered: bool
+    done: bool
 
 
 class Packet(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="packet", gc=False):
@@ -63,17 +67,16 @@ class Packet(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
         rows: the sender's row, and the newest that it has of others.
         notes: origin, number, and the note itself.
         lost: robots known to be dead, where not everybody hears of a loss.
-        group: robots that know each other to be complete, and have covered everything around them;
-            empty: not yet.
+        done: robots from whose starts nothing that is not covered can be reached.
     """
 
     rows: tuple[Row, ...]
     notes: tuple[tuple[int, int, bytes], ...] = ()
     lost: tuple[int, ...] = ()
-    group: tuple[int, ...] = ()
+    done: tuple[int, ...] = ()
 
 
-GossipNote = Start | Claim | Retract | Covered
+GossipNote = Start | Claim | Retract | Beside | Covered
 
 _decode_note: Any = decoder_of(GossipNote)  # type: ignore[arg-type]
 _decode_packet: Any = decoder_of(Packet)
@@ -111,12 +114,12 @@ class Gossip(Body):
         logs: the notes of each robot, as far as they are known without a gap.
         rows: the newest row of each robot.
         lost: robots known to be dead.
-        group: as in `Packet`, once this robot is one of them.
+        done: robots from whose starts nothing that is not covered can be reached, as far as is known.
         now: when it saw something last.
         news_at: when it last heard or said something new.
         patience: how old a row may be of a robot that is waited for.
         quiet: how long a robot must be silent, at least, to be taken for lost.
-        linger: how long one that knows everything to be covered waits for another that is silent.
+        linger: how long one that is done waits for another that is silent.
         speaks: whether anybody can hear it.
     """
 
@@ -128,8 +131,7 @@ class Gossip(Body):
         "_spoke",
         "_tells_losses",
         "_turn",
-        "driven",
-        "group",
+        "done",
         "linger",
         "logs",
         "lost",
@@ -139,7 +141,6 @@ class Gossip(Body):
         "quiet",
         "rows",
         "speaks",
-        "told",
     )
 
     def __init__(self, briefing: Briefing, patience: float | None) -> None:
@@ -149,10 +150,8 @@ class Gossip(Body):
         self.logs: list[list[bytes]] = [[] for _ in robots]
         self.rows = [Row(robot, 0.0, nothing, False) for robot in robots]
         self.lost: set[int] = set()
-        self.group: tuple[int, ...] = ()
-        self.told: tuple[int, ...] = ()
+        self.done: set[int] = set()
         self.now = 0.0
-        self.driven = 0.0
         self.news_at = 0.0
         through_team = (self.team_size - 1) * (1 + radio.latency)
         self.linger = max(16.0, 4 * through_team)
@@ -190,10 +189,8 @@ class Gossip(Body):
         messages: tuple[bytes, ...] = (),
     ) -> GridSight:
         """Leave by port ``exit_`` and arrive (one move)."""
-        said, left_at = self._said(messages, always=True), self.now
-        here = self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
-        self.driven += self.now - left_at
-        return here
+        said = self._said(messages, always=True)
+        return self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
 
     async def wait(
         self, duration: float = 1.0, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
@@ -224,18 +221,19 @@ class Gossip(Body):
     # What it knows of others.
 
     def is_silent(self, robot: int) -> bool:
-        """Tell whether nothing was heard of a robot for as long as this one has driven in all."""
-        return self.now - self.rows[robot].time >= max(self.quiet, FACTOR * self.driven)
+        """Tell whether nothing was heard of a robot for long."""
+        return self.now - self.rows[robot].time >= self.quiet
 
     def waits_for(self, robot: int) -> bool:
         """Tell whether a robot was heard of so recently that an answer of it is worth a wait."""
-        is_near = self.now - self.rows[robot].time <= self.patience
-        return self.speaks and is_near and not self.is_silent(robot)
+        row = self.rows[robot]
+        is_near = self.now - row.time <= self.patience and not self.is_silent(robot)
+        return self.speaks and is_near and not row.done
 
     def lingers_for(self, robot: int) -> bool:
-        """Tell whether a robot may not know yet that everything is covered."""
+        """Tell whether a robot is not done and was heard of lately."""
         row = self.rows[robot]
-        return not row.covered and self.now - row.time < self.linger
+        return self.speaks and not row.done and self.now - row.time < self.linger
 
     # Packets.
 
@@ -252,16 +250,15 @@ class Gossip(Body):
                 held = self.rows[row.robot]
                 if row.time > held.time or (row.time == held.time and row.counts > held.counts):
                     self.rows[row.robot] = row
+                    if row.counts != held.counts:
+                        self.news_at = self.now
             for origin, number, note in packet.notes:
                 self._file(origin, number, note, news)
             losses += packet.lost
-            if packet.group and not self.group:
-                self.told = packet.group
+            self.done.update(packet.done)
         losses = [robot for robot in dict.fromkeys(losses) if robot not in self.lost]
         self.lost.update(losses)
-        if news:
-            self.news_at = self.now
-            self._owes = True
+        self._owes = self._owes or bool(news)
         return replace(here, inbox=tuple(news), losses=tuple(losses))
 
     def _file(self, origin: int, number: int, note: bytes, news: list[tuple[int, bytes]]) -> None:
@@ -293,20 +290,20 @@ class Gossip(Body):
 
     def _packet(self) -> Packet:
         me, rows = self.robot, self.rows
-        rows[me] = Row(me, self.now, tuple(map(len, self.logs)), bool(self.group))
+        rows[me] = Row(me, self.now, tuple(map(len, self.logs)), me in self.done)
         others = [(me + 1 + turn) % self.team_size for turn in range(self.team_size - 1)]
         self._turn = (self._turn + 1) % len(others)
         others = others[self._turn :] + others[: self._turn]
         known = [rows[other] for other in others if rows[other].time or any(rows[other].counts)]
         lost = tuple(sorted(self.lost)) if self._tells_losses else ()
-        return Packet((rows[me], *known[:ROWS]), self._lacking(others), lost, self.group)
+        return Packet((rows[me], *known[:ROWS]), self._lacking(others), lost, tuple(sorted(self.done)))
 
     def _lacking(self, others: list[int]) -> tuple[tuple[int, int, bytes], ...]:
         """Return its new notes, and what the robots nearby lack as far as it knows."""
         me, logs = self.robot, self.logs
         own = logs[me]
-        chosen = dict.fromkeys((me, number) for number in range(self._sent, len(own)))
-        self._sent = len(own)
+        sent, self._sent = self._sent, min(len(own), self._sent + NOTES)
+        chosen = dict.fromkeys((me, number) for number in range(sent, self._sent))
         counts = self.rows[me].counts
         for other in others:
             theirs = self.rows[other].counts
@@ -392,21 +389,27 @@ class GossipClaims(Claims):
         for sender, note in inbox:
             self.hear(sender, read_note(note))
 
-    def hear(self, sender: int, note: AnyNote | Covered) -> None:
+    def hear(self, sender: int, note: AnyNote | Beside | Covered) -> None:
         """Take in a note; the dead own nothing, but what they have covered is covered."""
         if isinstance(note, Covered):
             self.covered |= self.held[sender]
-            self.known.update(note.beside)
             self.changed = True
-            return
-        if isinstance(note, Claim | Start):
-            self.known.add(note.cell)
-            self.held[sender].add(note.cell)
+        elif isinstance(note, Beside):
+            self.known.update(note.cells)
+        else:
+            if isinstance(note, Claim | Start):
+                self.known.add(note.cell)
+                self.held[sender].add(note.cell)
             if isinstance(note, Start):
                 self.starts[sender] = note.cell
-        elif isinstance(note, Retract):
-            self.held[sender].discard(note.cell)
-        super().hear(sender, note)
+            elif isinstance(note, Retract):
+                self.held[sender].discard(note.cell)  # also of a robot that is dead
+            super().hear(sender, note)
+
+    def retract(self, cell: int, robot: int) -> None:
+        """Let a robot give a cell up."""
+        self.held[robot].discard(cell)
+        super().retract(cell, robot)
 
     def free_the_spared(self) -> None:
         """Nobody is spared here: see `freed`."""
@@ -445,7 +448,8 @@ class GossipExplorer(Explorer):
             body.team_size, fewest=options.conflict == "fewest-cells", lazy=options.lazy
         )
         self.stuck_at: float | None = None
-        self._told: set[int] = set()
+        self._told: set[int] = set()  # cells beside its own, by a note
+        self._around: tuple[tuple[int, ...], set[int], set[int]] = ((), set(), set())
 
     def hear(self, here: GridSight) -> None:
         """Take in what came with a sight; who is heard of again was not lost."""
@@ -455,16 +459,25 @@ class GossipExplorer(Explorer):
             silent = set(filter(body.is_silent, missing))
             if silent != missing:
                 self.give_up(silent)
-        if body.told and not body.group and self.is_beside(body.told):
-            body.group = body.told
-            self.claims.over = True
+        if body.done and not self.claims.over:
+            self.claims.over = self.me in body.done or self.is_beside(body.done)
+            if self.claims.over:
+                body.done.add(self.me)
 
-    def is_beside(self, group: tuple[int, ...]) -> bool:
-        """Tell whether this robot covers the same place as a group: it is one of it, or met it."""
-        if self.me in group:
-            return True
-        near = self.border.keys() | self.tree.edges.keys()
-        return any(not near.isdisjoint(self.claims.held[robot]) for robot in group)
+    def is_beside(self, robots: set[int]) -> bool:
+        """Tell whether the place that some robots cover is also that of this one."""
+        claims = self.claims
+        covered, left = self.around()
+        near = covered | left | self.border.keys() | self.tree.edges.keys()
+        return any(not near.isdisjoint(claims.held[robot]) for robot in robots)
+
+    def around(self) -> tuple[set[int], set[int]]:
+        """Return the covered cells that hang together with its start, and what is left beside them."""
+        claims = self.claims
+        sizes = (len(claims.known), len(claims.covered), len(self.walls))  # these sets only grow
+        if self._around[0] != sizes:
+            self._around = (sizes, *claims.around(self.start[0], self.walls))
+        return self._around[1:]
 
     def give_up(self, missing: set[int]) -> None:
         """Take these robots for lost, and no others."""
@@ -507,7 +520,7 @@ class GossipExplorer(Explorer):
     def has_won(self, cell: int, number: int) -> bool | None:
         """Tell whether its claim, the note of that number, has won; ``None``: not known yet."""
         body = self.body
-        if not self.claims.holds(self.me, cell):
+        if self.claims.over or not self.claims.holds(self.me, cell):
             return False
         for other in self.others():
             counts = body.rows[other].counts
@@ -518,33 +531,36 @@ class GossipExplorer(Explorer):
 
     def give_back(self, cell: int) -> None:
         """Give a cell up that it has claimed."""
-        retract = Retract(cell)
-        self.claims.hear(self.me, retract)
-        self.body.say(encode(retract))
+        self.claims.retract(cell, self.me)
+        self.body.say(encode(Retract(cell)))
 
     def announced(self) -> tuple[bytes, ...]:
         """Return what tells that its cells are covered, if it has not told yet (l. 24)."""
         claims = self.claims
         if claims.held[self.me] <= claims.covered:
             return ()
-        beside = {cell for cell in self.border if cell not in self.tree} - self._told
-        self._told |= beside
-        note = Covered(tuple(sorted(beside)))
-        claims.hear(self.me, note)
-        return (encode(note),)
+        beside = sorted({cell for cell in self.border if cell not in self.tree} - self._told)
+        self._told.update(beside)
+        parts = range(0, len(beside), CELLS)
+        notes: list[GossipNote] = [Beside(tuple(beside[at : at + CELLS])) for at in parts]
+        notes.append(Covered())
+        for note in notes:
+            claims.hear(self.me, note)
+        return tuple(map(encode, notes))
 
     async def over(self) -> bool:
         """Tell whether everything is covered; if it is not, wait for some news (l. 25)."""
         claims, body = self.claims, self.body
         body.say(*self.announced())
         if not claims.over:
-            covered, left = claims.around(self.start[0], self.walls)
+            covered, left = self.around()
             if left and (self.others() or not claims.freed):
                 if not self.gives_up(left):
                     await self.rest(1.0)
                 return False
-            body.group = tuple(r for r, cell in claims.starts.items() if cell in covered and not left)
-            body.group = body.group or (self.me,)
+            if not left:
+                body.done.update(r for r, cell in claims.starts.items() if cell in covered)
+            body.done.add(self.me)
             claims.over = True
         await self.linger()
         return True
@@ -565,13 +581,8 @@ class GossipExplorer(Explorer):
         return bool(silent)
 
     async def linger(self) -> None:
-        """Stay until the others know that everything is covered."""
-        body = self.body
-        while any(
-            other not in body.lost and body.lingers_for(other)
-            for other in body.group
-            if other != self.me
-        ):
+        """Stay until all others that are near are done, too."""
+        while any(map(self.body.lingers_for, self.others())):
             await self.rest(1.0)
 
     def last_words(self) -> Stop:

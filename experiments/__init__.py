@@ -1,0 +1,1 @@
+"""The papers' experiments, played and measured again."""
