@@ -54,6 +54,8 @@ class Body:
         ``gaze`` is the direction to look in, on a grid.
         """
         _check(None, messages)
+        if gaze is not None:
+            _check_gaze(gaze)
         return (yield Look(None, messages, gaze))
 
     @coroutine
@@ -83,6 +85,8 @@ class Body:
         """
         if exit_.__class__ is not int or not -EXIT_MAX < exit_ < EXIT_MAX:
             raise AlgorithmError(f"move by exit {exit_!r}; expected the number of a port")
+        if gaze is not None:
+            _check_gaze(gaze)
         if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:
             _check(tag, messages)
         return (yield Move(tag, messages, exit_, gaze))
@@ -143,6 +147,16 @@ def _check(tag: object, messages: object) -> None:
     size = sum(map(len, messages)) + len(tag or b"") + 16 * len(messages)
     if size > PAYLOAD_BYTES_MAX // 2:
         raise AlgorithmError(f"request of {size} bytes; expected at most {PAYLOAD_BYTES_MAX // 2}")
+
+
+def _check_gaze(gaze: object) -> None:
+    """Refuse a direction that is no number.
+
+    Raises:
+        AlgorithmError: If it is none.
+    """
+    if gaze.__class__ is not int or not -EXIT_MAX < gaze < EXIT_MAX:
+        raise AlgorithmError(f"gaze {gaze!r}; expected the number of a direction, 0 to 3")
 
 
 def _time(duration: float) -> float:

@@ -143,7 +143,9 @@ def run(
             stack.enter_context(_store(setting, run_dir, name)) if _has_store(scenario) else None
         )
         journal = stack.enter_context(closing(Journal(run_dir.journal, scenario.durability)))
-        journal.append(opening(name, "inprocess", to_tree(scenario), setting.ground, setting.starts))
+        journal.append(
+            opening(name, "inprocess", to_tree(scenario), setting.ground, setting.starts)
+        )
         terrain = terrain_of(setting.ground, scenario)
         world = World(scenario, terrain, setting.starts, observe=digest, on_write=note)
         end, failures = play(scenario, world, setting.algorithm, record, read)

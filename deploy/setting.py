@@ -30,6 +30,10 @@ SQLITE = b"SQLite format 3\0"
 """What a store's file begins with."""
 
 
+SENSING_MOST = 64
+"""No robot sees farther, sub-cells: a sight of more is too much for a message, and for us."""
+
+
 class Setting(Struct, frozen=True):
     """Everything a run needs, checked.
 
@@ -108,7 +112,13 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
             f"field `sensing.mode`: found {scenario.sensing.mode!r}, which is for {other}; "
             f"the map is {where}"
         )
-    if on_grid:
+    if isinstance(ground, Grid):
+        range_m = scenario.sensing.range_m or 0.0
+        if range_m > SENSING_MOST * ground.cell_m:
+            raise ScenarioError(
+                f"field `sensing.range_m`: found {range_m:g}, expected at most "
+                f"{SENSING_MOST * ground.cell_m:g}, {SENSING_MOST} sub-cells"
+            )
         return
     world = scenario.world
     for field, value, usual in (

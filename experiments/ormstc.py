@@ -277,7 +277,7 @@ def options(size: Size) -> Plan:
     """
     robots = 6
     about = (
-        f"20 x 20 coarse cells, 60 of them blocked at random; {robots} robots; "
+        f"20 x 20 coarse cells, 60 of them blocked at random; {robots} robots",
         f"{size.starts} worlds and starts, the same for each option",
         "lengths and standard deviations in sub-cells, latency in ticks; speeds: one each, mean 1",
     )

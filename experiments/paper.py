@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 from msgspec import Struct
@@ -97,7 +97,9 @@ def ormstc(
     folder = Path("runs", "paper-ormstc") if out is None else out
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        parts = [play_part(name, size, folder, WORKERS) for name in PARTS if name in (only or PARTS)]
+        parts = [
+            play_part(name, size, folder, WORKERS) for name in PARTS if name in (only or PARTS)
+        ]
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"--out {folder}: {error.filename}: {reason}") from None
@@ -125,8 +127,8 @@ def play_part(name: str, size: Size, folder: Path, workers: int, *, check: bool 
         check: play some runs with a process for each robot, too.
     """
     plan = PARTS[name](size)
-    with Counter(name) as counter:
-        results = sweep([run.tree for run in plan.runs], workers=workers, show=counter.show)
+    with Tally(name) as tally:
+        results = sweep([run.tree for run in plan.runs], workers=workers, show=tally.show)
     checks = []
     for run in plan.samples if check else ():
         trace = trace_inprocess(run.tree)
@@ -145,7 +147,9 @@ def _write_runs(path: Path, plan: Plan, results: Sequence[Measured]) -> None:
         writer = csv.writer(file)
         writer.writerow([*plan.runs[0].labels, "seed", *Measured.__struct_fields__])
         for run, result in zip(plan.runs, results, strict=True):
-            writer.writerow([*run.labels.values(), run.tree["seed"], *msgspec.structs.astuple(result)])
+            writer.writerow(
+                [*run.labels.values(), run.tree["seed"], *msgspec.structs.astuple(result)]
+            )
 
 
 # Tables.
@@ -263,7 +267,7 @@ def _complete(row: Row) -> str:
 # Progress.
 
 
-class Counter:
+class Tally:
     """How far a part is, on stderr: redrawn in a terminal, a line now and then elsewhere."""
 
     def __init__(self, name: str) -> None:
@@ -273,7 +277,7 @@ class Counter:
         self._next_line = self._started + LINE_S
         self._done = 0
 
-    def __enter__(self) -> "Counter":
+    def __enter__(self) -> Self:
         """Begin to count."""
         return self
 

@@ -27,9 +27,9 @@ def figure13(rows: Sequence[Row], path: Path) -> None:
     for number, name in enumerate(names):
         of_map = [row for row in rows if row.labels["map"] == name]
         _curve(axes, of_map, name, number, shift=0.09 * (number - (len(names) - 1) / 2))
-    _even_shares(axes, rows, "map")
+        _even_share(axes, of_map, COLOURS[number])
     _dress(axes, "robots", "coverage time (ticks)", (int(row.labels["robots"]) for row in rows))
-    axes.legend(frameon=False, fontsize=9)
+    _legend(axes)
     _save(figure, path)
 
 
@@ -75,6 +75,7 @@ def options(rows: Sequence[Row], path: Path) -> None:
                 va="center",
                 fontsize=7.5,
                 color=GREY,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
             )
     panels[0].set_yticks(list(heights), [str(row.labels["option"]) for row in rows])
     for label in panels[0].get_yticklabels():
@@ -87,22 +88,28 @@ def options(rows: Sequence[Row], path: Path) -> None:
     handles = [
         panels[0].plot([], [], color=COLOURS[0], label="all runs complete", **marks)[0],
         panels[0].plot(
-            [], [], color=COLOURS[1], markerfacecolor="white", label="not all complete", **marks
+            [],
+            [],
+            color=COLOURS[1],
+            markerfacecolor="white",
+            label="not all complete; how many",
+            **marks,
         )[0],
     ]
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=8.5
-    )
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=8.5)
     _save(figure, path)
 
 
 def losses(rows: Sequence[Row], path: Path) -> None:
     """Draw coverage time without and with losses, and extra visits, beside the specification's."""
-    figure = _new(7.4, 3.3)
+    figure = _new(7.8, 3.2)
     panels = figure.subplots(1, 3)
     unharmed = [row for row in rows if row.labels["losses"] == 0]
     _curve(panels[0], unharmed, "measured", 0)
-    _published(panels[0], {robots: each.coverage_time for (robots, lost), each in PUBLISHED.items() if not lost})
+    _published(
+        panels[0],
+        {robots: each.coverage_time for (robots, lost), each in PUBLISHED.items() if not lost},
+    )
     _dress(
         panels[0],
         "robots, none lost",
@@ -115,10 +122,11 @@ def losses(rows: Sequence[Row], path: Path) -> None:
         of_team = [
             row
             for row in rows
-            if row.labels["robots"] == most and (row.labels["lazy"] == lazy or not row.labels["losses"])
+            if row.labels["robots"] == most
+            and (row.labels["lazy"] == lazy or not row.labels["losses"])
         ]
         name = "lazy" if lazy else "not lazy"
-        shift = 0.12 * (2 * number - 1)
+        shift = 0.18 * (2 * number - 1)
         _curve(panels[1], of_team, name, number, x="losses", shift=shift)
         _curve(panels[2], of_team, name, number, x="losses", y="extra_percent", shift=shift)
     _published(panels[1], {lost: each.coverage_time for lost, each in harmed.items()})
@@ -127,7 +135,7 @@ def losses(rows: Sequence[Row], path: Path) -> None:
     for axes, name in zip(panels[1:], ("coverage time (ticks)", "extra visits (%)"), strict=True):
         _dress(axes, f"lost, of {most} robots", name, harmed)
     for axes in panels[:2]:
-        axes.legend(frameon=False, fontsize=8)
+        _legend(axes)
     _save(figure, path)
 
 
@@ -142,12 +150,12 @@ def helping(rows: Sequence[Row], path: Path) -> None:
         for number, variant in enumerate(variants):
             curve = [row for row in of_kind if row.labels["variant"] == variant]
             _curve(axes, curve, variant, number, shift=0.14 * (number - 0.5))
-        _even_shares(axes, of_kind, "variant")
-        first = kind == kinds[0]
-        label = "coverage time (ticks)" if first else ""
-        _dress(axes, "robots", label, (int(row.labels["robots"]) for row in of_kind))
+        _even_share(axes, [row for row in of_kind if row.labels["variant"] == "corrected"], PALE)
         axes.set_title(f"{kind} starts", size=10, color=INK, loc="left")
-    panels[-1].legend(frameon=False, fontsize=9)
+    for axes in panels:
+        label = "coverage time (ticks)" if axes is panels[0] else ""
+        _dress(axes, "robots", label, (int(row.labels["robots"]) for row in rows))
+    _legend(panels[0])
     _save(figure, path)
 
 
@@ -157,8 +165,10 @@ FIGURES = {"figure13": figure13, "options": options, "losses": losses, "helping"
 
 def _new(width: float, height: float) -> "Figure":
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    layout = ConstrainedLayoutEngine(wspace=0.06)
+    return Figure(figsize=(width, height), dpi=DPI, layout=layout)
 
 
 def _save(figure: "Figure", path: Path) -> None:
@@ -191,18 +201,36 @@ def _curve(
     )
 
 
-def _even_shares(axes: "Axes", rows: Sequence[Row], by: str) -> None:
+def _even_share(axes: "Axes", rows: Sequence[Row], colour: str) -> None:
     """Draw what the coverage time would be if the work were shared evenly."""
-    first = rows[0].labels[by]
-    of_first = [row for row in rows if row.labels[by] == first]
     axes.plot(
-        [int(row.labels["robots"]) for row in of_first],
-        [row.even_share for row in of_first],
-        color=PALE,
-        linewidth=1.0,
+        [int(row.labels["robots"]) for row in rows],
+        [row.even_share for row in rows],
+        color=colour,
+        linewidth=0.9,
         linestyle=(0, (4, 3)),
-        label=f"even share{f', {first}' if by == 'map' else ''}",
         zorder=2,
+    )
+
+
+def _legend(axes: "Axes") -> None:
+    """List the curves in their order, then what there is besides."""
+    from matplotlib.container import ErrorbarContainer
+    from matplotlib.lines import Line2D
+
+    handles, names = axes.get_legend_handles_labels()
+    entries = sorted(
+        zip(handles, names, strict=True),
+        key=lambda each: not isinstance(each[0], ErrorbarContainer),
+    )
+    if any(line.get_linestyle() == "--" for line in axes.get_lines()):
+        dashes = Line2D([], [], color=PALE, linewidth=0.9, linestyle=(0, (4, 3)))
+        entries.append((dashes, "work shared evenly"))
+    axes.legend(
+        [handle for handle, _ in entries],
+        [name for _, name in entries],
+        frameon=False,
+        fontsize=8.5,
     )
 
 

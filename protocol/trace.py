@@ -13,7 +13,7 @@ from typing import Literal
 from msgspec import Struct
 
 from protocol.codec import encode
-from protocol.messages import AnyRequest, Move, Wait, WaitForNews
+from protocol.messages import AnyRequest, Look, Move, Wait, WaitForNews
 
 LossCause = Literal["killed", "refused", "failed"]
 
@@ -63,6 +63,8 @@ def describe(what: AnyRequest | str) -> str:
         words.append(f"duration={what.duration:g}")
     elif isinstance(what, WaitForNews) and what.at_most is not None:
         words.append(f"at_most={what.at_most:g}")
+    if isinstance(what, Look | Move) and what.gaze is not None:
+        words.append(f"gaze={what.gaze}")
     if what.tag is not None:
         words.append(f"tag={what.tag.hex() or 'blank'}")
     if what.messages:

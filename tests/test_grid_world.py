@@ -201,9 +201,6 @@ def test_these_errors_are_definite_rules() -> None:
         assert error.definite
 
 
-@pytest.mark.xfail(
-    reason="Body does not check the type of a gaze, so that it ends the run and not the robot"
-)
 @pytest.mark.parametrize("gaze", ["north", 1.5])
 def test_a_gaze_of_another_type_ends_its_robot_and_no_other(gaze: Any) -> None:
     async def script(body: Body) -> None:
@@ -470,9 +467,6 @@ def test_a_robot_that_broke_a_rule_is_in_the_way_and_nowhere_else() -> None:
     assert ends[2][-1] == (3.0, 3, EAST)
 
 
-@pytest.mark.xfail(
-    reason="a move is steered before its tag is checked: one that is refused keeps its goal taken"
-)
 def test_a_move_that_was_refused_takes_up_no_sub_cell() -> None:
     too_long = Move(bytes(9), (), EAST)
     requests: list[list[AnyRequest]] = [[too_long], [wait(2), move(WEST)]]

@@ -22,9 +22,9 @@ EVENTS = [
 def test_the_encoding_is_golden() -> None:
     """Traces of earlier versions stay comparable: a change here is a change of the wire format."""
     assert [encode(event).hex() for event in EVENTS] == [
-        "98cb0000000000000000ff000004c093a46c6f6f6bc09000",
+        "98cb0000000000000000ff000004c094a46c6f6f6bc090c000",
         "98cb000000000000000000010204c093a57772697465c4010190cedeadbeef",
-        "98cb3ff8000000000000000000050394a46d6f7665c091c40268690201",
+        "98cb3ff8000000000000000000050395a46d6f7665c091c402686902c001",
         "98cb400400000000000001ff00c003a66b696c6c656400",
     ]
 

@@ -548,8 +548,8 @@ LITTLE = {"sensing": {"position": "odometry", "drift": 0.05}}
         (SLIP, ((0, 0), E, (0, 1), W), True),
         (SLIP, ((0, 0), E, (1, 2), W), True),
         (SLIP, ((0, 0), E, (1, 2), N), False),
-        (SLIP, ((0, 0), E, (0, 0), E), True),
-        (SLIP, ((0, 0), E, (0, 0), W), False),
+        (SLIP, ((0, 0), E, (0, 0), E), False),
+        (SLIP, ((0, 0), E, (0, 0), W), True),  # slipped back
         (SLIP, ((0, 0), E, (0, 3), W), False),
         (SLIP, ((0, 0), N, (0, 1), S), False),
         (SLIP, ((3, 2), N, (1, 1), S), True),

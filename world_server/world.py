@@ -65,6 +65,7 @@ from protocol.scenario import Scenario
 from protocol.trace import Event, LossCause, Observer
 from world_server.clock import Agenda, clock_of
 from world_server.radio import Ether, ether_of, in_reach, radio_of
+from world_server.sensing import in_sub_cells
 from world_server.steering import steering_of
 from world_server.terrain import GridTerrain, Terrain
 
@@ -279,7 +280,9 @@ class World:
         """Return what ``robot`` may know beforehand."""
         scenario, terrain = self._scenario, self._terrain
         radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
-        cell_m = terrain.grid.cell_m if isinstance(terrain, GridTerrain) else 1.0
+        range_cells = 0.0
+        if isinstance(terrain, GridTerrain) and scenario.sensing.range_m is not None:
+            range_cells = in_sub_cells(scenario.sensing.range_m, terrain.grid)
         return Briefing(
             robot,
             scenario.team.robots,
@@ -293,7 +296,7 @@ class World:
             SensingFacts(
                 scenario.sensing.mode or "ports",
                 terrain.window,
-                0.0 if not terrain.window else (scenario.sensing.range_m or 0.0) / cell_m,
+                range_cells,
                 scenario.world.bodies == "block",
             ),
             terrain.position(self._starts[robot]) if on_grid else None,
@@ -537,10 +540,7 @@ class World:
                     exit_ = request.exit  # type: ignore[union-attr]
                     if request.gaze is not None:  # type: ignore[union-attr]
                         self._turn(body, request.gaze)  # type: ignore[union-attr]
-                    if steering is None:
-                        body.destination = leave(place, exit_)
-                    else:
-                        body.destination = steering.leave(body, exit_)
+                    body.destination = leave(place, exit_)
                 elif kind is Look and request.gaze is not None:  # type: ignore[union-attr]
                     self._turn(body, request.gaze)  # type: ignore[union-attr]
                 elif kind is Wait or kind is WaitForNews:
@@ -566,6 +566,8 @@ class World:
                 if place in resting_at:
                     self._wake(resting_at[place])
             if kind is Move:
+                if steering is not None:  # it takes up room, so nothing is refused from here on
+                    body.destination = steering.leave(body, exit_)
                 body.state = UNDER_WAY
                 duration = tick or self._move_duration(body.robot, place, exit_)
                 arrival = time + duration

@@ -94,9 +94,10 @@ class GridLedger(BaseLedger):
             return False
         if not 0 <= place < len(self.grid) or self.grid.blocked[place]:
             return False
-        if entry != (dart & 3 if place == left else track.entry):
+        came_back = self._blocks and place == left
+        if entry != track.entry and not (came_back and entry == dart & 3):
             return False
-        if not (self._blocks and place == left):
+        if not (came_back and entry == dart & 3):
             (row, col), (meant_row, meant_col) = self.name(place), self.name(meant)
             if max(abs(row - meant_row), abs(col - meant_col)) > self._reach:
                 return False
