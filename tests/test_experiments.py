@@ -6,23 +6,26 @@ import json
 import tomllib
 from math import isnan
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from deploy.cli import main
 from experiments import ormstc, paper, sweep
-from experiments.ormstc import PARTS, PUBLISHED, Measured, Plan, Row, Run, Size
+from experiments.ormstc import PARTS, PUBLISHED, Plan, Row, Run, Size
+from experiments.sweep import Measured
 from protocol.errors import ScenarioError
 from protocol.grid import Grid
 from protocol.scenario import from_tree, load, to_tree
 from tests.conftest import ROOT
 
 TINY = Size(teams=(2, 4), starts=1, inputs=1)
+SMALL = {"kind": "random-obstacles", "rows": 8, "cols": 8, "obstacles": 10}
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def tiny(robots: int = 2, seed: int = 1, **fields: object) -> sweep.Tree:
+def tiny(robots: int = 2, seed: int = 1, **fields: Any) -> sweep.Tree:
     """A world of 6 x 6 coarse cells, 6 of them blocked."""
     generate = {"kind": "random-obstacles", "rows": 6, "cols": 6, "obstacles": 6}
     tree = {
@@ -34,7 +37,7 @@ def tiny(robots: int = 2, seed: int = 1, **fields: object) -> sweep.Tree:
     return sweep.with_fields(tree, fields)
 
 
-def measured(time: float = 8.0, **fields: object) -> Measured:
+def measured(time: float = 8.0, **fields: Any) -> Measured:
     base = Measured(
         complete=True,
         status="over",
@@ -52,8 +55,17 @@ def measured(time: float = 8.0, **fields: object) -> Measured:
 # Every part.
 
 
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Play on small worlds."""
+    monkeypatch.setattr(ormstc, "OBSTACLES", SMALL)
+
+
+@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("name", PARTS)
-def test_a_part_is_played_drawn_and_written(name: str, tmp_path: Path, capsys) -> None:
+def test_a_part_is_played_drawn_and_written(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     part = paper.play_part(name, TINY, tmp_path, 1, check=False)
     assert (tmp_path / f"{name}.png").read_bytes().startswith(PNG)
 
@@ -85,10 +97,11 @@ def test_the_same_plan_gives_the_same_numbers_however_it_is_played() -> None:
 
 
 def test_seeds_change_a_plan_and_nothing_else_does() -> None:
-    for name, plan in PARTS.items():
-        assert plan(TINY) == plan(TINY), name
-        for labels in {tuple(run.labels.items()) for run in plan(TINY).runs}:
-            seeds = [run.tree["seed"] for run in plan(TINY).runs if run.labels == dict(labels)]
+    for name, part in PARTS.items():
+        plan = part(TINY)
+        assert plan == part(TINY), name
+        for labels in {tuple(run.labels.items()) for run in plan.runs}:
+            seeds = [run.tree["seed"] for run in plan.runs if run.labels == dict(labels)]
             assert len(set(seeds)) == len(seeds)
 
 
@@ -110,12 +123,13 @@ def test_a_row_sums_up_runs_that_differ_in_their_seed() -> None:
         measured(1.0),
     ]
     first, second = ormstc.rows_of(Plan((), tuple(runs)), results)
+    assert first.coverage_time_sd == pytest.approx(8**0.5)
     assert first == Row(
         labels={"robots": 2},
         runs=2,
         complete=1,
         coverage_time=8.0,
-        coverage_time_sd=pytest.approx(8**0.5),
+        coverage_time_sd=first.coverage_time_sd,
         even_share=4.0,
         extra_percent=25.0,
         covered_percent=75.0,
@@ -229,9 +243,8 @@ def test_fields_are_set_in_a_copy() -> None:
 
 def test_a_tree_as_toml_is_the_same_tree() -> None:
     faults = [{"kill": "robot:1", "at": 3.0, "round": 1}]
-    tree = tiny(
-        **{"name": 'a "b" \\ é', "faults": faults, "team.speed": [0.5, 2.0], "world.x": True}
-    )
+    fields = {"name": 'a "b" \\ é', "faults": faults, "team.speed": [0.5, 2.0], "world.x": True}
+    tree = sweep.with_fields(tiny(), fields)
     assert tomllib.loads(sweep.to_toml(tree)) == tree
 
 
@@ -247,7 +260,7 @@ def test_losses_and_faults_are_told_apart() -> None:
     result = sweep.measure(tiny(3, faults=faults))
     assert (result.complete, result.killed, result.failed) == (True, 1, 0)
     near = {"sensing.mode": "radius", "sensing.range_m": 1.0}
-    result = sweep.measure(tiny(2, **near))
+    result = sweep.measure(sweep.with_fields(tiny(), near))
     assert (result.complete, result.killed, result.failed) == (False, 0, 2)
 
 
@@ -268,6 +281,7 @@ def test_processes_give_the_trace_of_a_sweep() -> None:
 # The command.
 
 
+@pytest.mark.usefixtures("small")
 def test_the_command_prints_one_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -47,9 +47,15 @@ class Retract(Note, frozen=True, tag="retract"):
 
 
 class Completion(Note, frozen=True, tag="completion"):
-    """The sender has nothing left to do (Alg. 3 l. 24), as far as it knows of ``dead`` losses."""
+    """The sender has nothing left to do (Alg. 3 l. 24), as far as it knows.
+
+    Attributes:
+        dead: how many losses it knows of.
+        opened: whose cells are open of them: so many, that is, less the spared.
+    """
 
     dead: int
+    opened: int = 0
 
 
 class Withdrawal(Note, frozen=True, tag="withdrawal"):
@@ -57,7 +63,7 @@ class Withdrawal(Note, frozen=True, tag="withdrawal"):
 
 
 class Over(Note, frozen=True, tag="over"):
-    """The sender knew that all were complete in view of the same losses: everything is covered."""
+    """The sender knew that all were complete in the same view: everything is covered."""
 
 
 class Removal(Note, frozen=True, tag="removal"):
@@ -166,6 +172,7 @@ class Claims:
         spared: those of them whose cells are not open (R10).
         complete: robots that have announced completion and not withdrawn it, and how many losses
             each knew of.
+        opened: of how many of these the cells were open to it.
         over: whether a robot has found that everything is covered.
         changed: whether cells may have become open since it was last reset.
         taken: cells that have found an owner since it was last cleared.
@@ -179,6 +186,7 @@ class Claims:
         "delayed",
         "fewest",
         "lazy",
+        "opened",
         "over",
         "owner",
         "rivals",
@@ -206,6 +214,7 @@ class Claims:
         self.dead: set[int] = set()
         self.spared: set[int] = set()
         self.complete: dict[int, int] = {}
+        self.opened: dict[int, int] = {}
         self.over = False
         self.changed = False
         self.taken: list[int] = []
@@ -225,8 +234,23 @@ class Claims:
     def agreed(self) -> bool:
         """Tell whether all that are alive are complete, in view of the same losses."""
         losses = len(self.dead)
-        robots = range(self.team_size)
-        return all(robot in self.dead or self.complete.get(robot) == losses for robot in robots)
+        return all(self.complete.get(robot) == losses for robot in self.alive())
+
+    def settled(self) -> bool:
+        """Tell whether all that are alive are complete, and the same cells were open to them.
+
+        Who was on its way may only then hear that the spared are freed, and find work.
+        """
+        _, opened = self.view()
+        return self.agreed() and all(self.opened.get(robot) == opened for robot in self.alive())
+
+    def alive(self) -> list[int]:
+        """Return the robots that are not known to be dead."""
+        return [robot for robot in range(self.team_size) if robot not in self.dead]
+
+    def view(self) -> tuple[int, int]:
+        """Return how many losses are known, and of how many of them the cells are open."""
+        return len(self.dead), len(self.dead) - len(self.spared)
 
     def any_open(self) -> bool:
         """Tell whether some known cell may be open."""
@@ -261,6 +285,7 @@ class Claims:
             self.stake(note.cell, (note.time, self.rank(sender, note), sender))  # type: ignore[union-attr, arg-type]
         elif kind is Completion:
             self.complete[sender] = note.dead  # type: ignore[union-attr]
+            self.opened[sender] = note.opened  # type: ignore[union-attr]
         elif kind is Withdrawal:
             self.complete.pop(sender, None)
         elif kind is Start:
@@ -316,7 +341,10 @@ class Claims:
 
     def free_the_spared(self) -> None:
         """Open the cells of those that died after completing, if nothing else is left (R10)."""
-        if self.spared and self.any_open() and self.agreed():
+        if not (self.spared and self.agreed()):
+            return
+        _, opened = self.view()
+        if self.any_open() or any(self.opened[robot] > opened for robot in self.alive()):
             self.spared.clear()
             self.changed = True
 

@@ -345,12 +345,12 @@ class Explorer:
         with it, and who dies right after it has died complete.
         """
         self.find_exits()
-        claims = self.claims
-        losses = len(claims.dead)
-        if self.exits or claims.complete.get(self.me) == losses:
+        claims, me = self.claims, self.me
+        view = claims.view()
+        if self.exits or (claims.complete.get(me), claims.opened.get(me)) == view:
             return ()
-        claims.complete[self.me] = losses
-        return (encode(Completion(losses)),)
+        claims.complete[me], claims.opened[me] = view
+        return (encode(Completion(*view)),)
 
     def withdrawn(self) -> tuple[bytes, ...]:
         """Return what withdraws completion, if it was announced (l. 28)."""
@@ -361,7 +361,7 @@ class Explorer:
         if self.claims.over:
             return True
         announcement = self.announced()
-        if not self.claims.agreed():
+        if not self.claims.settled():
             self.hear(await self.body.wait_for_news(messages=announcement))
             self.late = not self.here.alone  # woken when a round had passed
         elif announcement or self.late:

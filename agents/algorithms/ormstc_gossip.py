@@ -6,6 +6,7 @@
 from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
+from types import coroutine
 from typing import Any
 
 from msgspec import Struct
@@ -14,7 +15,7 @@ from msgspec.structs import replace
 from agents.algorithms.claims import AnyNote, Claim, Claims, Note, Retract, Start
 from agents.algorithms.ormstc import Explorer, Options
 from agents.algorithms.stc import AWAY
-from agents.body import Body
+from agents.body import Ask, Body
 from protocol.codec import decoder_of, encode
 from protocol.messages import Briefing, GridSight, Stop
 
@@ -132,6 +133,7 @@ class Gossip(Body):
         "_tells_losses",
         "_turn",
         "done",
+        "lately",
         "linger",
         "logs",
         "lost",
@@ -156,11 +158,10 @@ class Gossip(Body):
         through_team = (self.team_size - 1) * (1 + radio.latency)
         self.linger = max(16.0, 4 * through_team)
         if radio.reach == "global":
-            self.patience, self.quiet = inf, max(256.0, self.linger)
+            self.lately, self.quiet = inf, max(256.0, self.linger)
         else:
-            self.patience, self.quiet = max(4.0, through_team), self.linger
-        if patience is not None:
-            self.patience = patience
+            self.lately, self.quiet = max(4.0, through_team), self.linger
+        self.patience = self.lately if patience is None else patience
         self.speaks = radio.reach != "none" and self.team_size > 1
         self._tells_losses = briefing.heartbeat == "reach"
         self._early: list[dict[int, bytes]] = [{} for _ in robots]
@@ -172,43 +173,51 @@ class Gossip(Body):
 
     # Requests.
 
-    async def look(self, *, gaze: int | None = None, messages: tuple[bytes, ...] = ()) -> GridSight:
+    @coroutine
+    def look(self, *, gaze: int | None = None, messages: tuple[bytes, ...] = ()) -> Ask:
         """See this place (free)."""
-        return self._heard(await super().look(gaze=gaze, messages=self._said(messages)))
+        said = self._said(messages)
+        return self._heard((yield from super().look(gaze=gaze, messages=said)))
 
-    async def exchange(self, *messages: bytes) -> GridSight:
+    @coroutine
+    def exchange(self, *messages: bytes) -> Ask:
         """Send notes and see what has come by the next round (free)."""
-        return self._heard(await super().exchange(*self._said(messages)))
+        return self._heard((yield from super().exchange(*self._said(messages))))
 
-    async def move(
+    @coroutine
+    def move(
         self,
         exit_: int,
         *,
         gaze: int | None = None,
         tag: bytes | None = None,
         messages: tuple[bytes, ...] = (),
-    ) -> GridSight:
+    ) -> Ask:
         """Leave by port ``exit_`` and arrive (one move)."""
         said = self._said(messages, always=True)
-        return self._heard(await super().move(exit_, gaze=gaze, tag=tag, messages=said))
+        return self._heard((yield from super().move(exit_, gaze=gaze, tag=tag, messages=said)))
 
-    async def wait(
+    @coroutine
+    def wait(
         self, duration: float = 1.0, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()
-    ) -> GridSight:
+    ) -> Ask:
         """Stay for ``duration`` time units (that many ticks in lockstep)."""
         said = self._said(messages, always=True)
-        return self._heard(await super().wait(duration, tag=tag, messages=said))
+        return self._heard((yield from super().wait(duration, tag=tag, messages=said)))
 
-    async def wait_for_news(
+    @coroutine
+    def wait_for_news(
         self,
         *,
         at_most: float | None = None,
         tag: bytes | None = None,
         messages: tuple[bytes, ...] = (),
-    ) -> GridSight:
+    ) -> Ask:
         """Stay until a message or a loss notice; or ``at_most`` so long."""
         said = self._said(messages)
-        return self._heard(await super().wait_for_news(at_most=at_most, tag=tag, messages=said))
+        return self._heard(
+            (yield from super().wait_for_news(at_most=at_most, tag=tag, messages=said))
+        )
 
     def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
         """Return what the algorithm returns to stop (free)."""
@@ -224,11 +233,15 @@ class Gossip(Body):
         """Tell whether nothing was heard of a robot for long."""
         return self.now - self.rows[robot].time >= self.quiet
 
+    def is_near(self, robot: int) -> bool:
+        """Tell whether a robot was heard of lately."""
+        age = self.now - self.rows[robot].time
+        return self.speaks and age <= self.lately and age < self.quiet
+
     def waits_for(self, robot: int) -> bool:
         """Tell whether a robot was heard of so recently that an answer of it is worth a wait."""
         row = self.rows[robot]
-        is_near = self.now - row.time <= self.patience and not self.is_silent(robot)
-        return self.speaks and is_near and not row.done
+        return self.is_near(robot) and self.now - row.time <= self.patience and not row.done
 
     def lingers_for(self, robot: int) -> bool:
         """Tell whether a robot is not done and was heard of lately."""
@@ -307,7 +320,7 @@ class Gossip(Body):
         counts = self.rows[me].counts
         for other in others:
             theirs = self.rows[other].counts
-            if theirs == counts or other in self.lost or not self.waits_for(other):
+            if theirs == counts or other in self.lost or not self.is_near(other):
                 continue
             for origin in (me, *others):
                 first, last = theirs[origin], counts[origin]
