@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from deploy.cli import main
-from experiments import ormstc, paper, sweep
+from experiments import ormstc, paper, plots, sweep
 from experiments.ormstc import PARTS, PUBLISHED, Plan, Row, Run, Size
 from experiments.sweep import Measured
 from protocol.errors import ScenarioError
@@ -56,9 +56,11 @@ def measured(time: float = 8.0, **fields: Any) -> Measured:
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Play on small worlds."""
+def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Play on small worlds and on our own maps, and draw small."""
     monkeypatch.setattr(ormstc, "OBSTACLES", SMALL)
+    monkeypatch.setattr(ormstc, "shared_maps", lambda: tmp_path)
+    monkeypatch.setattr(plots, "DPI", 50)
 
 
 @pytest.mark.usefixtures("small")
