@@ -1,7 +1,7 @@
 # Canopy. `make` lists what there is; everything that needs the environment sets it up first.
 
 PYTHON ?= python3
-PYTEST_ARGS ?=
+PYTEST_ARGS ?= --numprocesses=2
 
 VENV := .venv
 STAMP := $(VENV)/.set-up
