@@ -261,6 +261,10 @@ OPTIONS: tuple[Option, ...] = (
         "drift 0.2, no reset",
         {"sensing.position": "odometry", "sensing.drift": 0.2, "sensing.reset": False},
     ),
+    Option("loss 0.1", {"radio.loss": 0.1}),
+    Option("loss 0.3", {"radio.loss": 0.3}),
+    Option("reach 4", {"radio.reach": "radius", "radio.radius_m": 4.0}),
+    Option("reach 16", {"radio.reach": "radius", "radio.radius_m": 16.0}),
     Option("bodies block", {"world.bodies": "block"}),
 )
 """The baseline, and what is changed in it, one at a time. A line here is a line of the table."""

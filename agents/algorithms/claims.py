@@ -50,7 +50,7 @@ class Completion(Note, frozen=True, tag="completion"):
     """The sender has nothing left to do (Alg. 3 l. 24), as far as it knows.
 
     Attributes:
-        dead: how many losses it knows of.
+        dead: how many losses it knows of; ``team_size`` from one that stops: so it is for good.
         opened: whose cells are open of them: so many, that is, less the spared.
     """
 
@@ -233,8 +233,8 @@ class Claims:
 
     def agreed(self) -> bool:
         """Tell whether all that are alive are complete, in view of the same losses."""
-        losses = len(self.dead)
-        return all(self.complete.get(robot) == losses for robot in self.alive())
+        same = (len(self.dead), self.team_size)
+        return all(self.complete.get(robot) in same for robot in self.alive())
 
     def settled(self) -> bool:
         """Tell whether all that are alive are complete, and the same cells were open to them.

@@ -361,11 +361,13 @@ class Explorer:
         if self.claims.over:
             return True
         announcement = self.announced()
-        if not self.claims.settled():
+        if announcement and self.claims.agreed():
+            await self.rest(1.0, *announcement)  # now the spared can be freed, if they must be
+        elif not self.claims.settled():
             self.hear(await self.body.wait_for_news(messages=announcement))
             self.late = not self.here.alone  # woken when a round had passed
-        elif announcement or self.late:
-            await self.rest(1.0, *announcement)
+        elif self.late:
+            await self.rest(1.0)
         elif self.delay:
             await self.rest(2 * self.delay)
             return not (self.here.inbox or self.here.losses)

@@ -1,6 +1,17 @@
 """ORMSTC on a radio that loses messages, or does not reach everybody.
 
-(docstring to come)
+Each robot numbers the notes that it sends. All keep the notes of all, and pass on what others lack, so
+that a note finds its way through relays. A claim is entered when everybody alive has acknowledged it,
+or after ``patience`` where not everybody can be heard; who cannot be heard for as long as the run has
+taken so far is taken for complete.
+
+What holds, as far as random runs could tell (`tests/test_ormstc_gossip.py`):
+
+    radio                             Theorem 4   Theorem 5            Theorem 6   ends
+    reaches all, loses or duplicates  yes         yes                  yes         yes
+    radius, or none                   yes         no: covered twice    yes         yes
+
+Theorem 6 needs ``heartbeat = "global"``: who does not hear of a loss does not take over.
 """
 
 from collections.abc import Iterable
@@ -52,16 +63,20 @@ class Row(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=F
         robot: which robot.
         time: when that was.
         counts: how many notes of each robot it had.
+        rests: whether it had nothing to do.
         done: whether it knew that everything is covered that can be reached from its start.
     """
 
     robot: int
     time: float
     counts: tuple[int, ...]
-    done: bool
+    rests: bool = False
+    done: bool = False
 
 
-class Packet(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="packet", gc=False):
+class Packet(
+    Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="packet", gc=False
+):
     """What goes on the air.
 
     Attributes:
@@ -116,6 +131,7 @@ class Gossip(Body):
         rows: the newest row of each robot.
         lost: robots known to be dead.
         done: robots from whose starts nothing that is not covered can be reached, as far as is known.
+        rests: whether it has nothing to do.
         now: when it saw something last.
         news_at: when it last heard or said something new.
         patience: how old a row may be of a robot that is waited for.
@@ -141,6 +157,7 @@ class Gossip(Body):
         "now",
         "patience",
         "quiet",
+        "rests",
         "rows",
         "speaks",
     )
@@ -150,9 +167,10 @@ class Gossip(Body):
         radio, robots = briefing.radio, range(self.team_size)
         nothing = (0,) * self.team_size
         self.logs: list[list[bytes]] = [[] for _ in robots]
-        self.rows = [Row(robot, 0.0, nothing, False) for robot in robots]
+        self.rows = [Row(robot, 0.0, nothing) for robot in robots]
         self.lost: set[int] = set()
         self.done: set[int] = set()
+        self.rests = False
         self.now = 0.0
         self.news_at = 0.0
         through_team = (self.team_size - 1) * (1 + radio.latency)
@@ -162,6 +180,7 @@ class Gossip(Body):
         else:
             self.lately, self.quiet = max(4.0, through_team), self.linger
         self.patience = self.lately if patience is None else patience
+        self.lately = max(self.lately, self.patience)
         self.speaks = radio.reach != "none" and self.team_size > 1
         self._tells_losses = briefing.heartbeat == "reach"
         self._early: list[dict[int, bytes]] = [{} for _ in robots]
@@ -243,6 +262,12 @@ class Gossip(Body):
         row = self.rows[robot]
         return self.is_near(robot) and self.now - row.time <= self.patience and not row.done
 
+    def is_idle(self, robot: int) -> bool:
+        """Tell whether no work of a robot can be the reason that nothing new was heard for long."""
+        row = self.rows[robot]
+        idle = (row.rests or row.done) and self.now - self.news_at >= self.quiet
+        return idle or self.is_silent(robot)
+
     def lingers_for(self, robot: int) -> bool:
         """Tell whether a robot is not done and was heard of lately."""
         row = self.rows[robot]
@@ -303,13 +328,15 @@ class Gossip(Body):
 
     def _packet(self) -> Packet:
         me, rows = self.robot, self.rows
-        rows[me] = Row(me, self.now, tuple(map(len, self.logs)), me in self.done)
+        rows[me] = Row(me, self.now, tuple(map(len, self.logs)), self.rests, me in self.done)
         others = [(me + 1 + turn) % self.team_size for turn in range(self.team_size - 1)]
         self._turn = (self._turn + 1) % len(others)
         others = others[self._turn :] + others[: self._turn]
         known = [rows[other] for other in others if rows[other].time or any(rows[other].counts)]
         lost = tuple(sorted(self.lost)) if self._tells_losses else ()
-        return Packet((rows[me], *known[:ROWS]), self._lacking(others), lost, tuple(sorted(self.done)))
+        return Packet(
+            (rows[me], *known[:ROWS]), self._lacking(others), lost, tuple(sorted(self.done))
+        )
 
     def _lacking(self, others: list[int]) -> tuple[tuple[int, int, bytes], ...]:
         """Return its new notes, and what the robots nearby lack as far as it knows."""
@@ -569,7 +596,9 @@ class GossipExplorer(Explorer):
             covered, left = self.around()
             if left and (self.others() or not claims.freed):
                 if not self.gives_up(left):
+                    body.rests = True
                     await self.rest(1.0)
+                    body.rests = False
                 return False
             if not left:
                 body.done.update(r for r, cell in claims.starts.items() if cell in covered)
@@ -587,7 +616,7 @@ class GossipExplorer(Explorer):
             return True
         awaited = awaited or set(self.others())
         silent = set(filter(body.is_silent, awaited))
-        if not silent and body.now - body.news_at >= 4 * max(body.quiet, body.news_at):
+        if not silent and all(map(body.is_idle, self.others())):
             silent, self.stuck_at = set(self.others()), body.news_at
         if silent:
             self.give_up(claims.missing | silent)

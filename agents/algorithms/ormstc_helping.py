@@ -554,4 +554,5 @@ async def help_out(body: Body, options: Options) -> Stop:
     robot = Helper(body, options)
     await robot.begin()
     await robot.work()
-    return body.last_words(messages=() if robot.claims.open else (OVER,))
+    for_good = encode(Completion(body.team_size))
+    return body.last_words(messages=(for_good if robot.claims.open else OVER,))
