@@ -25,7 +25,11 @@ CLOCKS = [{"mode": "lockstep"}, {"mode": "event", "jitter": 0.5}]
 
 def run_on(world: Little, rng: Random, radio: dict[str, Any], *, kills: bool = True) -> Covered:
     faults = any_kills(rng, world, instants=True) if kills else []
-    fields = {"seed": rng.randint(0, 999), "clock": rng.choice(CLOCKS), "faults": faults}
+    fields: dict[str, Any] = {
+        "seed": rng.randint(0, 999),
+        "clock": rng.choice(CLOCKS),
+        "faults": faults,
+    }
     return covered(coarse_grid(world.rows), world.starts, radio=radio, **fields)
 
 
