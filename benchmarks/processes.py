@@ -1,6 +1,6 @@
 """Steps per second of the processes engine against the bare Zenoh exchange of equal messages.
 
-    python -m benchmarks.processes [--robots 1 4 16 64] [--repeats 3]
+    python -m benchmarks.processes [--robots 1 4 16 64] [--repeats 3] [--algorithm ormstc]
 
 Each repeat plays the run and both floors one after another, so that all meet the same machine; the
 medians of the ratios are what counts. Steps are moves.
@@ -15,6 +15,7 @@ from statistics import median
 
 from agents.body import Body, Driver
 from benchmarks import floor
+from benchmarks.ormstc import setting as grid_setting
 from benchmarks.table import print_table
 from deploy import processes
 from deploy.run_dir import RunDir
@@ -23,15 +24,17 @@ from protocol.codec import encode
 from protocol.messages import AnyRequest, Batch, NumberedReply, NumberedRequest, TagWrite
 from protocol.scenario import from_tree
 from world_server.replay import replay
-from world_server.terrain import GraphTerrain
+from world_server.terrain import terrain_of
 from world_server.world import Answers, Wave, World
 
 RADIUS = {1: 4, 4: 4, 16: 5, 64: 5}
 """Radius of the 7-ary tree for each team, so that each run takes seconds."""
 
 
-def setting_for(robots: int) -> Setting:
+def setting_for(robots: int, algorithm: str) -> Setting:
     """Return a run that is worth measuring."""
+    if algorithm == "ormstc":
+        return grid_setting(40, 60, 240, robots)
     world = {"generate": {"kind": "nary-tree", "branching": 7, "radius": RADIUS.get(robots, 4)}}
     team = {"robots": robots}
     return prepare(from_tree({"algorithm": "mr-dfs", "world": world, "team": team}, "benchmark"))
@@ -47,7 +50,7 @@ def recorded(setting: Setting) -> tuple[list[floor.Exchange], list[list[int]], i
     writes: list[TagWrite] = []
     world = World(
         setting.scenario,
-        GraphTerrain(setting.graph),
+        terrain_of(setting.ground, setting.scenario),
         setting.starts,
         on_write=lambda place, revision, tag: writes.append(TagWrite(place, revision, tag)),
     )
@@ -94,10 +97,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 4, 16, 64])
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--algorithm", choices=("mr-dfs", "ormstc"), default="mr-dfs")
     arguments = parser.parse_args()
     rows = []
     for robots in arguments.robots:
-        setting = setting_for(robots)
+        setting = setting_for(robots, arguments.algorithm)
         exchanges, sizes, steps = recorded(setting)
         times: list[tuple[float, float, float]] = []
         with tempfile.TemporaryDirectory() as name:
@@ -118,7 +122,12 @@ def main() -> None:
             )
         )
     print_table(
-        "processes: moves a second, 7-ary tree of radius 4 (16 and 64 robots: 5)",
+        "processes: moves a second, "
+        + (
+            "40 x 60 coarse cells with 240 obstacles (no store, so only floor 1 counts)"
+            if arguments.algorithm == "ormstc"
+            else "7-ary tree of radius 4 (16 and 64 robots: 5)"
+        ),
         ("robots", "moves", "waves", "Canopy", "floor 1", "floor 2", "of floor 1", "of floor 2"),
         rows,
         "targets: at 16 and 64 robots at least 0.75 of floor 1 and 0.90 of floor 2; at 1 robot at "

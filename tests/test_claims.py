@@ -63,7 +63,7 @@ NOTES: dict[type, st.SearchStrategy[Any]] = {
     Start: st.builds(Start, numbers),
     Claim: st.builds(Claim, times, numbers, numbers),
     Retract: st.builds(Retract, numbers),
-    Completion: st.builds(Completion, numbers),
+    Completion: st.builds(Completion, numbers, numbers),
     Withdrawal: st.builds(Withdrawal),
     Over: st.builds(Over),
     Removal: st.builds(Removal, numbers),
@@ -285,6 +285,17 @@ def test_a_loser_that_retracts_changes_nothing() -> None:
     assert_counts_right(claims)
 
 
+def test_the_claim_of_one_that_died_as_a_loser_does_not_come_back() -> None:
+    """As the winner gives up the cell, it goes to the next of those that live."""
+    claims = replica(delayed=True)
+    claims.hear(0, Claim(1.0, 7, 1))
+    claims.hear(4, Claim(1.0, 7, 1))
+    claims.hear(3, Claim(1.0, 7, 1))
+    claims.bury(3)
+    claims.hear(4, Retract(7))
+    assert owners(claims) == {7: 0}
+
+
 @st.composite
 def hearsay(draw: st.DrawFn) -> list[tuple[int, AnyNote | None]]:
     """Draw what is heard of one cell: each robot's claims and retracts in its own order; a loss last.
@@ -332,9 +343,11 @@ def test_the_owner_is_the_first_claim_that_stands(heard: list[tuple[int, AnyNote
 # Completion.
 
 
-def complete(claims: Claims, robots: Iterable[int], losses: int = 0) -> None:
+def complete(
+    claims: Claims, robots: Iterable[int], losses: int = 0, opened: int | None = None
+) -> None:
     for robot in robots:
-        claims.hear(robot, Completion(losses))
+        claims.hear(robot, Completion(losses, losses if opened is None else opened))
 
 
 def test_all_that_live_must_be_complete_in_view_of_the_same_losses() -> None:
@@ -358,6 +371,34 @@ def test_all_that_live_must_be_complete_in_view_of_the_same_losses() -> None:
     claims.hear(0, Withdrawal())
     claims.hear(0, Withdrawal())
     assert not claims.agreed()
+
+
+def test_one_that_has_stopped_is_complete_for_good() -> None:
+    claims = replica(team=3)
+    complete(claims, [0, 1])
+    complete(claims, [2], losses=3)
+    assert claims.agreed()
+    claims.bury(0)
+    complete(claims, [1], losses=1)
+    assert claims.agreed()
+
+
+def test_it_is_settled_when_the_same_cells_were_open_to_all() -> None:
+    """Reference: R7, R10."""
+    claims = replica(team=3, lazy=True)
+    complete(claims, [0, 1, 2])
+    claims.bury(2)
+    assert claims.view() == (1, 0)
+    complete(claims, [0], losses=1, opened=0)
+    assert not claims.settled()
+    complete(claims, [1], losses=1, opened=1)  # 1 knows that 2 died incomplete, or is freed
+    assert claims.agreed()
+    assert not claims.settled()
+    claims.free_the_spared()
+    assert claims.view() == (1, 1)
+    assert not claims.settled()  # 0 has yet to say that it has nothing to do in this view
+    complete(claims, [0], losses=1, opened=1)
+    assert claims.settled()
 
 
 def test_one_that_knows_tells_all() -> None:
@@ -391,14 +432,14 @@ def test_the_spared_are_freed_when_all_live_ones_are_complete_and_cells_are_left
     complete(claims, [0, 1])
     claims.bury(0)
     claims.bury(1)
-    complete(claims, [2, 3], losses=2)
+    complete(claims, [2, 3], losses=2, opened=0)
     claims.free_the_spared()  # nothing is left
     assert claims.spared == {0, 1}
     claims.hear(3, Withdrawal())
     claims.bury(3)
     claims.free_the_spared()  # 3 has left its cell, but 2 may yet get there
     assert claims.spared == {0, 1}
-    complete(claims, [2], losses=3)
+    complete(claims, [2], losses=3, opened=1)
     claims.changed = False
     claims.free_the_spared()
     assert (claims.spared, claims.changed) == (set(), True)

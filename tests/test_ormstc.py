@@ -358,6 +358,38 @@ def test_one_survivor_is_enough(world: Little, rng: Random) -> None:
     assert run.lost == set(team) - {survivor}
 
 
+@pytest.mark.parametrize("latency", [0.0, 1.0])
+def test_nobody_ends_the_run_before_the_slowest_has_heard_what_is_left(latency: float) -> None:
+    """The slow one completes beside the cell of one that died complete; behind it one did not.
+
+    Only when all have agreed is the way there free (R10), and then the slow one is on its last move.
+    """
+    run = played(
+        on("....", (1, 1), (1, 3), (1, 5), (1, 7)),
+        clock={"mode": "event"},
+        team={"speed": [1.0, 0.25, 1.0, 0.4]},
+        radio={"latency": latency},
+        faults=[{"kill": f"robot:{robot}", "at": latency + 3 + robot} for robot in (2, 3)],
+    )
+    run.is_complete()
+    assert run.lost == {2, 3}
+
+
+def test_who_completed_is_not_the_same_to_all_where_messages_take_time() -> None:
+    """One hears that a robot died before it hears that it had completed, another the other way."""
+    run = played(
+        on("....", (1, 4), (1, 3), (1, 2), (0, 1), (1, 6)),
+        seed=691,
+        algorithm_options={"conflict": "fewest-cells"},
+        clock={"mode": "event", "jitter": 0.3},
+        team={"speed": [1.0, 2.0, 0.5, 1.0, 0.5]},
+        radio={"latency": 1.0},
+        faults=[{"kill": "robot:0", "at": 4, "round": 4}, {"kill": "robot:4", "at": 3.9447666}],
+    )
+    run.is_complete()
+    assert run.lost == {0, 4}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_five_thousand_little_worlds_are_covered() -> None:

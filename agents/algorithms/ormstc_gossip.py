@@ -1,17 +1,56 @@
 """ORMSTC on a radio that loses messages, or does not reach everybody.
 
-Each robot numbers the notes that it sends. All keep the notes of all, and pass on what others lack, so
-that a note finds its way through relays. A claim is entered when everybody alive has acknowledged it,
-or after ``patience`` where not everybody can be heard; who cannot be heard for as long as the run has
-taken so far is taken for complete.
+The paper (Agmon, Hazon, Kaminka 2008, Sec. 4) assumes that every message is heard by all. What is left of
+its claims where that is not so, with up to k - 1 losses, on both clocks and with any latency:
 
-What holds, as far as random runs could tell (`tests/test_ormstc_gossip.py`):
+    radio                                    Theorem 4  Theorem 5  Theorem 6  ends
+    global, with loss and duplicates         yes        yes (1)    yes        yes
+    limited, all in touch at all times       yes        yes (2)    yes        yes
+    limited, some out of touch at times      yes        no         yes        yes
+    none                                     yes        no         yes        yes
 
-    radio                             Theorem 4   Theorem 5            Theorem 6   ends
-    reaches all, loses or duplicates  yes         yes                  yes         yes
-    radius, or none                   yes         no: covered twice    yes         yes
+Limited is ``radius``, with or without line of sight, and ``same-place``; in touch means that the radio
+graph is connected. The price of being out of touch are repeated visits, up to k times the work.
 
-Theorem 6 needs ``heartbeat = "global"``: who does not hear of a loss does not take over.
+1. Unless a robot that lives is not heard for 256 time units on end.
+2. Over at most `HOPS` relays, without loss, under the lockstep clock. With loss, or where a move takes
+   longer than ``patience``, two robots may now and then cover one cell.
+
+The same holds with ``heartbeat = "reach"``: a loss that nobody hears of is a silence like any other. All
+this takes bodies that do not block and robots that know where they are; where not, runs still end.
+
+*Notes.* What a robot has to say are *notes*, which it numbers: where it starts, what it claims and gives
+up, and, when it closes a lap, that its cells are covered and which other free cells lie beside them. All
+keep the notes of all, each robot's in order, and pass on what others lack (`Gossip`). On the air go
+packets: *rows*, each of which tells how many notes of each robot some robot had at some time, the
+sender's own and those that it has heard; and notes that robots nearby lack, as their rows say.
+
+*Claims* (R9). A cell is entered when every other robot that is not known to be dead has the claim, this
+robot has all that they had said when they had it, and no claim on the cell is older (of one instant: of
+better rank); if one is, the claim is given up. So of two robots that claim a cell each waits until the
+other has its claim, and until it has what the other had said before. Who heard of the other's claim
+before it made its own would not have made it; hence both know of both claims, and agree. A robot that was
+not heard for ``patience`` is not waited for: that is where Theorem 5 ends, and nothing else does.
+
+*The end* (R6, R7, R10). That a cell is covered is a fact, whatever becomes of those who covered it. A
+robot is *done* when the covered cells that hang together with its start have no other free cell beside
+them that it knows of. Then there is none: a free cell beside a covered one is of the same robot, and was
+covered with it, or that robot has told of it. So nobody stops on an assumption, and Theorems 4 and 6 do
+not depend on the radio: what a robot is not told it covers itself.
+
+*Giving up.* A robot that has closed its lap but is not done waits for those who own what is left, or what
+lies beside it. Who is silent for long (16 time units, more with relays and latency; 256 where the radio
+reaches all) is taken for lost until it is heard again, and what it has not covered is open; what it has
+covered is opened only if it is in the way. If for as long nobody hears anything new, though all that are
+heard have nothing to do, each takes all others for lost. A robot that has nobody left to wait for covers
+all that is left; as its tree only grows, this ends. Who is done stays while it hears others that are not.
+
+*Traffic.* A request carries at most one packet, of at most `NOTES` notes and `ROWS` + 1 rows. One goes out
+with each move, in each time unit of a wait, with each claim, and in answer to notes that were new, once an
+instant; a packet without new notes is not answered. So a robot sends at most four in an instant.
+
+Departure: even where nothing is lost, claims take a tick or two, since others are under way when they
+are made.
 """
 
 from collections.abc import Iterable
@@ -36,6 +75,9 @@ NOTES = 32
 NOTES_EACH = 8
 """Of these at most so many of one robot to one robot that lacks them."""
 
+HOPS = 8
+"""A robot that is heard over so many relays is waited for, unless ``patience`` says otherwise."""
+
 CELLS = 64
 """A note tells of at most so many cells."""
 
@@ -44,13 +86,13 @@ ROWS = 16
 
 
 class Beside(Note, frozen=True, tag="beside"):
-    """These cells beside the sender's own are free."""
+    """These cells are free; they lie beside the sender's own, and are not its own."""
 
     cells: tuple[int, ...]
 
 
 class Covered(Note, frozen=True, tag="covered"):
-    """Every cell that the sender has claimed so far, and not given up, is covered.
+    """Every cell that the sender has claimed so far, and not given up, is covered (Alg. 3 l. 24).
 
     All free cells beside these are its own, too, or it has told of them.
     """
@@ -133,10 +175,11 @@ class Gossip(Body):
         done: robots from whose starts nothing that is not covered can be reached, as far as is known.
         rests: whether it has nothing to do.
         now: when it saw something last.
-        news_at: when it last heard or said something new.
-        patience: how old a row may be of a robot that is waited for.
-        quiet: how long a robot must be silent, at least, to be taken for lost.
-        linger: how long one that is done waits for another that is silent.
+        news_at: when it last heard that some robot had heard something new.
+        patience: how old the row of a robot may be that this one waits for before it enters a cell.
+        lately: how old the row of a robot may be that is sent what it lacks.
+        quiet: how old the row of a robot is that is taken for lost.
+        linger: how old the row of a robot may be that one that is done stays for.
         speaks: whether anybody can hear it.
     """
 
@@ -173,12 +216,12 @@ class Gossip(Body):
         self.rests = False
         self.now = 0.0
         self.news_at = 0.0
-        through_team = (self.team_size - 1) * (1 + radio.latency)
-        self.linger = max(16.0, 4 * through_team)
+        relayed = min(self.team_size - 1, HOPS) * (1 + radio.latency)
+        self.linger = max(16.0, 4 * relayed)
         if radio.reach == "global":
             self.lately, self.quiet = inf, max(256.0, self.linger)
         else:
-            self.lately, self.quiet = max(4.0, through_team), self.linger
+            self.lately, self.quiet = max(4.0, relayed), self.linger
         self.patience = self.lately if patience is None else patience
         self.lately = max(self.lately, self.patience)
         self.speaks = radio.reach != "none" and self.team_size > 1
@@ -243,7 +286,7 @@ class Gossip(Body):
         return super().last_words(tag=tag, messages=self._said(messages, always=True))
 
     def say(self, *notes: bytes) -> None:
-        """Send notes with the next request."""
+        """Number notes; they go out with the next request."""
         self.logs[self.robot] += notes
 
     # What it knows of others.
@@ -382,14 +425,14 @@ class GossipClaims(Claims):
 
     # What one can ask.
 
-    def is_lost(self, cell: int) -> bool:
+    def has_no_owner(self, cell: int) -> bool:
         """Tell whether nobody owns a cell, or only the dead do."""
         stake = self.owner.get(cell)
         return stake is None or stake[2] in self.dead
 
     def is_open(self, cell: int) -> bool:
         """Tell whether a cell is to be covered by whoever comes first."""
-        if not self.is_lost(cell):
+        if not self.has_no_owner(cell):
             return False
         if cell not in self.covered or self.freed:
             return True
@@ -414,12 +457,10 @@ class GossipClaims(Claims):
 
     def awaited(self, left: set[int]) -> set[int]:
         """Return who is to cover these cells: their owners, or else those who own what is beside."""
-        robots = set()
+        robots: set[int] = set()
         for cell in left:
-            lost = self.is_lost(cell)
-            for at in [cell + away for away in AWAY] if lost else [cell]:
-                if not self.is_lost(at):
-                    robots.add(self.owner[at][2])
+            near = [cell + away for away in AWAY] if self.has_no_owner(cell) else [cell]
+            robots.update(self.owner[at][2] for at in near if not self.has_no_owner(at))
         return robots
 
     # What one hears.
@@ -499,17 +540,14 @@ class GossipExplorer(Explorer):
             silent = set(filter(body.is_silent, missing))
             if silent != missing:
                 self.give_up(silent)
-        if body.done and not self.claims.over:
-            self.claims.over = self.me in body.done or self.is_beside(body.done)
-            if self.claims.over:
-                body.done.add(self.me)
+        if self.me in body.done:
+            self.claims.over = True
 
-    def is_beside(self, robots: set[int]) -> bool:
-        """Tell whether the place that some robots cover is also that of this one."""
-        claims = self.claims
+    def has_met(self, robots: set[int]) -> bool:
+        """Tell whether one of these robots claimed a cell that can be reached from here."""
         covered, left = self.around()
         near = covered | left | self.border.keys() | self.tree.edges.keys()
-        return any(not near.isdisjoint(claims.held[robot]) for robot in robots)
+        return any(not near.isdisjoint(self.claims.held[robot]) for robot in robots)
 
     def around(self) -> tuple[set[int], set[int]]:
         """Return the covered cells that hang together with its start, and what is left beside them."""
@@ -594,21 +632,22 @@ class GossipExplorer(Explorer):
         body.say(*self.announced())
         if not claims.over:
             covered, left = self.around()
-            if left and (self.others() or not claims.freed):
+            if not left:
+                body.done.update(r for r, cell in claims.starts.items() if cell in covered)
+            elif self.has_met(body.done):
+                body.done.add(self.me)
+            elif self.others() or not claims.freed:
                 if not self.gives_up(left):
                     body.rests = True
                     await self.rest(1.0)
                     body.rests = False
                 return False
-            if not left:
-                body.done.update(r for r, cell in claims.starts.items() if cell in covered)
-            body.done.add(self.me)
-            claims.over = True
+            claims.over = True  # or else it bumped wherever something was left, and is alone
         await self.linger()
         return True
 
     def gives_up(self, left: set[int]) -> bool:
-        """Give up waiting for robots that are silent; tell whether there were any."""
+        """Stop waiting for who is silent, or sparing what is in the way; tell whether it did."""
         claims, body = self.claims, self.body
         awaited = claims.awaited(left) - {self.me}
         if not awaited and not claims.freed:
@@ -623,7 +662,7 @@ class GossipExplorer(Explorer):
         return bool(silent)
 
     async def linger(self) -> None:
-        """Stay until all others that are near are done, too."""
+        """Stay until all others that it hears are done, too."""
         while any(map(self.body.lingers_for, self.others())):
             await self.rest(1.0)
 
