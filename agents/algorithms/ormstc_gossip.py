@@ -1,7 +1,7 @@
 """ORMSTC on a radio that loses messages, or does not reach everybody.
 
-The paper (Agmon, Hazon, Kaminka 2008, Sec. 4) assumes that every message is heard by all. What is left of
-its claims where that is not so, with up to k - 1 losses, on both clocks and with any latency:
+The paper (Agmon, Hazon, Kaminka 2008, Sec. 4) assumes that every message is heard by all. What is left
+of its claims where that is not so, with up to k - 1 losses, on both clocks and with any latency:
 
     radio                                    Theorem 4  Theorem 5  Theorem 6  ends
     global, with loss and duplicates         yes        yes (1)    yes        yes
@@ -16,38 +16,41 @@ graph is connected. The price of being out of touch are repeated visits, up to k
 2. Over at most `HOPS` relays, without loss, under the lockstep clock. With loss, or where a move takes
    longer than ``patience``, two robots may now and then cover one cell.
 
-The same holds with ``heartbeat = "reach"``: a loss that nobody hears of is a silence like any other. All
-this takes bodies that do not block and robots that know where they are; where not, runs still end.
+The same holds with ``heartbeat = "reach"``: a loss that nobody hears of is a silence like any other.
+All this takes bodies that do not block and robots that know where they are; where not, runs still end.
 
-*Notes.* What a robot has to say are *notes*, which it numbers: where it starts, what it claims and gives
-up, and, when it closes a lap, that its cells are covered and which other free cells lie beside them. All
-keep the notes of all, each robot's in order, and pass on what others lack (`Gossip`). On the air go
-packets: *rows*, each of which tells how many notes of each robot some robot had at some time, the
-sender's own and those that it has heard; and notes that robots nearby lack, as their rows say.
+*Notes.* What a robot has to say are *notes*, which it numbers: where it starts, what it claims and
+gives up, and, when it closes a lap, that its cells are covered and which other free cells lie beside
+them. All keep the notes of all, each robot's in order, and pass on what others lack (`Gossip`). On the
+air go packets: *rows*, each of which tells how many notes of each robot some robot had at some time,
+the sender's own and those that it has heard; and notes that robots nearby lack, as their rows say.
 
-*Claims* (R9). A cell is entered when every other robot that is not known to be dead has the claim, this
-robot has all that they had said when they had it, and no claim on the cell is older (of one instant: of
-better rank); if one is, the claim is given up. So of two robots that claim a cell each waits until the
-other has its claim, and until it has what the other had said before. Who heard of the other's claim
-before it made its own would not have made it; hence both know of both claims, and agree. A robot that was
-not heard for ``patience`` is not waited for: that is where Theorem 5 ends, and nothing else does.
+*Claims* (R9). A cell is entered when every other robot that is not known to be dead has the claim,
+this robot has all that they had said when they had it, and no claim on the cell is older (of one
+instant: of better rank); if one is, the claim is given up. So of two robots that claim a cell each
+waits until the other has its claim, and until it has what the other had said before. Who heard of the
+other's claim before it made its own would not have made it; hence both know of both claims, and agree.
+A robot that was not heard for ``patience`` is not waited for: that is where Theorem 5 ends, and
+nothing else does.
 
 *The end* (R6, R7, R10). That a cell is covered is a fact, whatever becomes of those who covered it. A
 robot is *done* when the covered cells that hang together with its start have no other free cell beside
-them that it knows of. Then there is none: a free cell beside a covered one is of the same robot, and was
-covered with it, or that robot has told of it. So nobody stops on an assumption, and Theorems 4 and 6 do
-not depend on the radio: what a robot is not told it covers itself.
+them that it knows of. Then there is none: a free cell beside a covered one is of the same robot, and
+was covered with it, or that robot has told of it. So nobody stops on an assumption, and Theorems 4 and
+6 do not depend on the radio: what a robot is not told it covers itself.
 
-*Giving up.* A robot that has closed its lap but is not done waits for those who own what is left, or what
-lies beside it. Who is silent for long (16 time units, more with relays and latency; 256 where the radio
-reaches all) is taken for lost until it is heard again, and what it has not covered is open; what it has
-covered is opened only if it is in the way. If for as long nobody hears anything new, though all that are
-heard have nothing to do, each takes all others for lost. A robot that has nobody left to wait for covers
-all that is left; as its tree only grows, this ends. Who is done stays while it hears others that are not.
+*Giving up.* A robot that has closed its lap but is not done waits for those who own what is left, or
+what lies beside it. Who is silent for long (16 time units, more with relays and latency; 256 where the
+radio reaches all) is taken for lost until it is heard again, and what it has not covered is open; what
+it has covered is opened only if it is in the way. If for as long nobody hears anything new, though all
+that are heard have nothing to do, each takes all others for lost. A robot that has nobody left to wait
+for covers all that is left; as its tree only grows, this ends. Who is done stays while it hears others
+that are not.
 
-*Traffic.* A request carries at most one packet, of at most `NOTES` notes and `ROWS` + 1 rows. One goes out
-with each move, in each time unit of a wait, with each claim, and in answer to notes that were new, once an
-instant; a packet without new notes is not answered. So a robot sends at most four in an instant.
+*Traffic.* A request carries at most one packet, of at most `NOTES` notes and `ROWS` + 1 rows. One goes
+out with each move, in each time unit of a wait, with each claim, and in answer to notes that were new,
+once an instant; a packet without new notes is not answered. So a robot sends at most four in an
+instant.
 
 Departure: even where nothing is lost, claims take a tick or two, since others are under way when they
 are made.

@@ -175,6 +175,7 @@ class Helper(Explorer):
         self.offers: dict[int, int] = {}
         self.answer: Grant | Refusal | None = None
         self._move_took = 1.0
+        self._claimed = (-1.0, 0)
 
     # What it hears and says.
 
@@ -211,6 +212,7 @@ class Helper(Explorer):
 
     async def claim(self, cell: int, *messages: bytes) -> bool:
         """Claim a cell; tell whether it is this robot's now."""
+        self._claimed = (self.here.time, cell)
         return await super().claim(cell, *messages, *self.said())
 
     @property
@@ -497,6 +499,11 @@ class Helper(Explorer):
     async def begin_anew(self, route: list[Move]) -> None:
         """Claim the open cell that a way leads to, go there and cover from there."""
         cell = route[-1][1] if route else self.cell
+        if self._claimed == (self.here.time, cell):
+            # It has lost this cell, and now the winner died. Who hears of all that at once could not
+            # tell which claim came after that loss.
+            await self.rest(1.0, *self.said())
+            return
         if not await self.claim(cell, *self.withdraw()):
             return
         entry = (route[-1][1], route[-1][2]) if route else (self.cell, self.corner)
