@@ -17,7 +17,7 @@ from agents.algorithms import mr_dfs, ormstc
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
-from protocol.scenario import OptionValue
+from protocol.section import OptionValue
 
 ALGORITHMS: dict[str, Any] = {"mr-dfs": mr_dfs.mr_dfs, "ormstc": ormstc.ormstc}
 """The algorithms of Canopy by name."""

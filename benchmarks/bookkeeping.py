@@ -98,7 +98,7 @@ def main() -> None:
 
 def measure(folder: Path, durability: Durability, size: int, tag: bytes, slot_s: float) -> None:
     """Measure store and floor turn by turn, so that both meet the same disk."""
-    count = max(50, int(800_000 * slot_s * ROUNDS / (size + 8)))
+    count = max(50, int(2_400_000 * slot_s * ROUNDS / (size + 8)))
     rows = [rows_of(wave, size, tag) for wave in range(1, count + 1)]
     more_rows = list(rows)
     messages = [

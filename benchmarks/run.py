@@ -3,7 +3,17 @@
 import subprocess
 import sys
 
-BENCHMARKS = ("inprocess", "ormstc", "flat", "start", "bookkeeping", "processes")
+BENCHMARKS = (
+    "inprocess",
+    "ormstc",
+    "flat",
+    "start",
+    "bookkeeping",
+    "journaling",
+    "recovery",
+    "recovery_length",
+    "processes",
+)
 
 
 def main() -> int:

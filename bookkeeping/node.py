@@ -30,18 +30,20 @@ from protocol.zenoh_link import Link, LinkConfig, credentials_of, run_beside_loo
 
 def respond(store: Store, request: AnyStoreRequest) -> AnyStoreReply:
     """Do what the world asks of the store."""
+    incarnation = request.incarnation
     try:
         match request:
             case Batch():
-                return BatchReply(store.apply(request))
-            case Hello(schema=schema, incarnation=incarnation):
+                return BatchReply(store.apply(request), incarnation)
+            case Hello(schema=schema):
                 if schema != SCHEMA_VERSION:
-                    return StoreRefusal(f"schema {schema}; this store speaks {SCHEMA_VERSION}")
-                return HelloReply(store.hello(incarnation))
+                    detail = f"schema {schema}; this store speaks {SCHEMA_VERSION}"
+                    return StoreRefusal(detail, incarnation)
+                return HelloReply(store.hello(incarnation), incarnation)
             case ReadTags(number=number, places=places):
-                return ReadTagsReply(number, store.read(places))
+                return ReadTagsReply(number, store.read(places), incarnation)
     except StoreError as error:
-        return StoreRefusal(str(error))
+        return StoreRefusal(str(error), incarnation)
 
 
 def serve(link: Link, store: Store) -> None:

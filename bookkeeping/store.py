@@ -76,8 +76,9 @@ class Store(ABC):
             The wave number of the last batch applied: ``batch.wave``, or more if this one is old.
 
         Raises:
-            StoreError: If the batch is of an older incarnation, a tag exceeds the capacity, a
-                revision does not grow, or the store fails or is closed. Nothing was applied.
+            StoreError: If the batch is of an older incarnation, follows one that is missing, a tag
+                exceeds the capacity, a revision does not grow, or the store fails or is closed.
+                Nothing was applied.
         """
 
     @abstractmethod
@@ -172,7 +173,7 @@ class MemoryStore(Store):
         """Apply a batch once; see `Store.apply`."""
         if batch.wave <= self.hello(batch.incarnation):
             return self._wave
-        check_writes(batch, self._capacity_bytes)
+        check_writes(batch, self._capacity_bytes, self._wave)
         check_revisions(batch.writes, self._revision)
         for write in batch.writes:
             self._devices[write.place] = Device(self._capacity_bytes, write.tag, write.revision)
@@ -275,12 +276,18 @@ def check_incarnation(incarnation: int, largest: int) -> None:
         raise StoreError(f"incarnation {incarnation}; expected 0 to {NUMBER_MAX}")
 
 
-def check_writes(batch: Batch, capacity_bytes: int) -> None:
-    """Check each write of a batch by itself.
+def check_writes(batch: Batch, capacity_bytes: int, stored_wave: int) -> None:
+    """Check that a batch follows what is stored, and each write of it by itself.
 
     Raises:
-        StoreError: If a tag exceeds the capacity or a number is out of range; names the write.
+        StoreError: If batches before it are missing, a tag exceeds the capacity or a number is out of
+            range; names the write.
     """
+    if batch.after > stored_wave:
+        raise StoreError(
+            f"wave {batch.wave} follows wave {batch.after}, which was acknowledged, but the store is "
+            f"at wave {stored_wave}: its file has lost its end"
+        )
     if batch.wave > NUMBER_MAX:
         raise StoreError(f"wave {batch.wave}; expected at most {NUMBER_MAX}")
     for write in batch.writes:

@@ -1,4 +1,4 @@
-"""The command line: `canopy run | replay | map | paper | doctor`.
+"""The command line: `canopy run | replay | map | plan | paper | doctor`.
 
 Exit codes: 0, the run is complete and all guarantees hold; 1, it is not; 2, a scenario, a map or the
 command line cannot be used: one line on stderr names file, field and fix.
@@ -141,6 +141,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     map_.set_defaults(command=_map)
 
+    _add_plan(commands)
+
     paper = commands.add_parser(
         "paper",
         help="play a paper's experiments, with figures and tables",
@@ -165,6 +167,103 @@ def _parser() -> argparse.ArgumentParser:
     doctor = commands.add_parser("doctor", help="check this machine, and list the algorithms")
     doctor.set_defaults(command=_doctor)
     return parser
+
+
+PLAN = """\
+Plan who covers what of a known map: a walk for each robot, all computed before any moves.
+
+Algorithms are named TREE+SPLIT (Agmon et al. 2008, Sec. 3). TREE is a spanning tree of the coarse
+cells (2 x 2 free sub-cells): random, depth-first, breadth-first, minimum (random weights), or
+create-tree, which grows a subtree for each robot, away from the others, and keeps the best of many
+sets of bridges between them. SPLIT divides the tour around the tree: nb-mstc, where each robot
+follows it to the cell before the next robot's start; b-mstc, where the largest gap and the two after
+it may be shared; opt-mstc, where each robot covers some of the tour behind it and some before it,
+the fewer first, so that the last is covered as early as can be. The algorithm best searches without
+a tree, and covers all free sub-cells that can be reached.
+
+When its part is covered a robot goes home by a short way over sub-cells that are covered by then, so
+that the way home covers nothing: coverage time is the same with and without --open. Times and lengths
+are moves. Robots share one connected part of the map.
+"""
+
+PLAN_EXAMPLES = """\
+examples:
+  canopy plan office.txt --robots 8 --picture plan.png
+  canopy plan office.txt --starts "0,0 0,9 17,4" --algorithm create-tree+nb-mstc --json
+  canopy plan office.txt --starts "0,0 0,9" --tree my_tree.txt --algorithm opt-mstc
+  canopy plan office.txt --robots 3 --all-bridges --paths walks.json
+"""
+
+
+def _add_plan(commands: "argparse._SubParsersAction[_Parser]") -> None:
+    plan = commands.add_parser(
+        "plan",
+        help="plan who covers what of a known map",
+        description=PLAN,
+        epilog=PLAN_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    plan.add_argument("map", type=Path, metavar="MAP", help="a grid, as `canopy map` reads it")
+    plan.add_argument(
+        "--robots", type=_count, metavar="K", help="how many; they start where the seed says"
+    )
+    plan.add_argument(
+        "--starts", metavar="'R,C R,C ...'", help="row and column of each robot's sub-cell"
+    )
+    plan.add_argument(
+        "--algorithm",
+        default="create-tree+opt-mstc",
+        metavar="NAME",
+        help="TREE+SPLIT, or best (create-tree+opt-mstc)",
+    )
+    plan.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is drawn (0)")
+    plan.add_argument(
+        "--tree",
+        type=Path,
+        metavar="FILE",
+        help="take this tree instead: edges R,C-R,C between coarse cells; # begins a comment",
+    )
+    plan.add_argument(
+        "--distance",
+        choices=("manhattan", "euclid", "shortest-path"),
+        default="manhattan",
+        help="between the tips of growing subtrees (manhattan)",
+    )
+    plan.add_argument(
+        "--tries",
+        default="alpha",
+        metavar="N",
+        help="sets of bridges to draw: a number; alpha, K to the power of --alpha (default); "
+        "or max, that but at least as many as there are sub-cells",
+    )
+    plan.add_argument("--alpha", type=float, default=2.0, metavar="A", help="see --tries (2)")
+    plan.add_argument(
+        "--all-bridges",
+        action="store_true",
+        help="evaluate all sets of bridges, keep the best, and say what they come to",
+    )
+    plan.add_argument(
+        "--budget",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="for best: so many seconds of processor time, about (10); how fast the machine is "
+        "does not change the plan",
+    )
+    plan.add_argument(
+        "--open", action="store_true", help="let walks end where the last cell is covered"
+    )
+    plan.add_argument(
+        "--paths",
+        type=Path,
+        metavar="FILE",
+        help="write the walks: JSON, a list of [row, column] for each robot, from its start",
+    )
+    plan.add_argument("--picture", type=Path, metavar="PNG", help="draw tree, parts and starts")
+    plan.add_argument("--json", action="store_true", help="print the plan as one JSON object")
+    plan.add_argument("--cell-m", type=float, metavar="M", help="side of a sub-cell")
+    plan.add_argument("--resolution-m", type=float, metavar="M", help="side of a pixel")
+    plan.set_defaults(command=_plan)
 
 
 def _count(text: str) -> int:
@@ -205,8 +304,6 @@ def _run(arguments: argparse.Namespace) -> int:
     run_dir = RunDir.create(arguments.out, scenario.name)
     name = f"{run_dir.path.name}-{uuid.uuid4().hex[:12]}".replace(" ", "-")
     robots = scenario.team.robots
-    restarts: dict[str, int] = {}
-    failures: dict[int, str] = {}
     started = time.monotonic()
     with Display(setting.to_cover, robots) as display:
         display.say(
@@ -216,15 +313,14 @@ def _run(arguments: argparse.Namespace) -> int:
         for note in setting.notes:
             display.say(f"  {note}")
         if arguments.engine == "processes":
-            play = processes.play(setting, run_dir, name, display.show)
-            restarts, failures = asyncio.run(play)
+            play = processes.play(setting, run_dir, name, display.show, display.say)
+            told = asyncio.run(play).told(started)
         else:
             from deploy import inprocess
 
             with redirect_stdout(sys.stderr):  # what an algorithm prints is no result
-                failures = inprocess.run(setting, run_dir, name, display.show)
-        wall_s = time.monotonic() - started
-        judged = judge_journal(run_dir.journal, wall_s=wall_s, failures=failures, restarts=restarts)
+                told = {"failures": inprocess.run(setting, run_dir, name, display.show)}
+        judged = judge_journal(run_dir.journal, wall_s=time.monotonic() - started, **told)
         run_dir.result.write_bytes(msgspec.json.format(msgspec.json.encode(judged.result)) + b"\n")
         if not arguments.no_picture:
             display.say("  drawing ...")
@@ -300,6 +396,58 @@ def _map(arguments: argparse.Namespace) -> int:
         for line in describe(facts):
             print(line)
         print(f"picture in {picture}")
+    return 0
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    import msgspec
+
+    from deploy.plan import Wanted, describe, draw_plan, plan, write_paths
+    from world_server.maps import GridFile, read_map
+
+    found = read_map(arguments.map, cell_m=arguments.cell_m, resolution_m=arguments.resolution_m)
+    if not isinstance(found, GridFile):
+        raise InputError(f"{arguments.map}: is a graph, expected a grid")
+    for option in ("paths", "picture"):  # refuse before anything is planned
+        path = getattr(arguments, option)
+        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+            raise InputError(f"--{option} {path}: expected a file in a folder that exists")
+        if path is not None and path.exists() and path.samefile(arguments.map):
+            raise InputError(f"--{option} {path}: is the map itself, expected another file")
+    wanted = Wanted(
+        algorithm=arguments.algorithm,
+        robots=arguments.robots,
+        starts=arguments.starts,
+        seed=arguments.seed,
+        tree=arguments.tree,
+        distance=arguments.distance,
+        tries=arguments.tries,
+        alpha=arguments.alpha,
+        all_bridges=arguments.all_bridges,
+        is_open=arguments.open,
+        budget_s=arguments.budget,
+    )
+    said = time.monotonic()
+
+    def say(line: str) -> None:
+        nonlocal said
+        if time.monotonic() - said >= 1:  # what is done at once needs no progress
+            said = time.monotonic()
+            print(f"  {line}", file=sys.stderr, flush=True)
+
+    planned = plan(found.grid, wanted, say)
+    try:
+        if arguments.paths is not None:
+            write_paths(arguments.paths, planned.walks)
+        if arguments.picture is not None:
+            draw_plan(found.grid, planned, arguments.picture, arguments.map.stem)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--paths or --picture: {error}; expected a file to write") from None
+    if arguments.json:
+        print(msgspec.json.encode(planned.facts).decode())
+    else:
+        for line in describe(planned):
+            print(line)
     return 0
 
 

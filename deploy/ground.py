@@ -17,10 +17,10 @@ from protocol.scenario import (
     RandomTree,
     Rooms,
     Scenario,
-    Start,
     Warehouse,
     WideTree,
 )
+from protocol.section import Start
 from protocol.seeds import spawn
 from world_server.maps import GridFile, generated_grids, generators, read_map
 
@@ -113,6 +113,17 @@ def starts_on(ground: Ground, scenario: Scenario, *, cells: bool) -> Started:
     if isinstance(ground, Grid):
         return _on_grid(ground, scenario, cells=cells)
     return _on_graph(ground, scenario)
+
+
+def place_of(ground: Ground, name: Start, field: str) -> int:
+    """Return the number of the vertex or sub-cell that a field of the scenario names.
+
+    Raises:
+        ScenarioError: If there is no such place.
+    """
+    if isinstance(ground, Grid):
+        return ground.place(*_sub_cell(ground, name, field, cells=False))
+    return _vertex(ground, name, field)
 
 
 # Graphs.

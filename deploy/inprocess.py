@@ -17,6 +17,7 @@ from world_server.terrain import terrain_of
 from world_server.world import (
     Answers,
     End,
+    FaultOrder,
     KillOrder,
     Output,
     TagsWanted,
@@ -92,6 +93,8 @@ def play(
         elif isinstance(output, KillOrder):
             drivers[output.robot].close()
             output = resume(None)
+        elif isinstance(output, FaultOrder):
+            output = resume(None)  # there are no processes here, nor a network
         elif isinstance(output, End):
             return output, failures
         elif isinstance(output, TagsWanted):

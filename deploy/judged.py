@@ -6,7 +6,9 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from deploy.run_dir import RunDir
 from deploy.verdict.agmon import Agmon
+from deploy.verdict.audit import Audit
 from deploy.verdict.coverage import AnyLedger
 from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Monitor
@@ -38,16 +40,21 @@ def judge_journal(
     wall_s: float | None = None,
     failures: Mapping[int, str] | None = None,
     restarts: Mapping[str, int] | None = None,
+    struck: Mapping[int, tuple[float, float | None]] | None = None,
     until: float = inf,
     also: Callable[[Event], None] | None = None,
 ) -> Judged:
     """Replay a journal and judge the run by its trace alone.
+
+    Of a whole run by processes the folder is audited as well.
 
     Args:
         journal: of a run that ended, or was cut off.
         wall_s: real time that the run took; default: that of its instants, as the journal says.
         failures: for each robot whose algorithm failed the text of its exception.
         restarts: of each infrastructure process.
+        struck: for each fault that the nemesis carried out when it struck, and how long it took until
+            the run went on, real seconds; ``None``: there was no nemesis.
         until: judge only what happened up to this virtual time.
         also: called with each event, besides.
 
@@ -60,6 +67,10 @@ def judge_journal(
     ledger = ledger_of(first.ground.restored(), first.starts, scenario)
     monitors = monitors_of(scenario, ledger)
     observe = observers(ledger, monitors)
+    audit: Audit | None = None
+    if first.engine == "processes" and until == inf and journal == RunDir(journal.parent).journal:
+        audit = Audit(journal.parent)
+        observe.append(audit.observe)
     if also is not None:
         observe.append(also)
 
@@ -82,7 +93,11 @@ def judge_journal(
         refusals=replayed.world.refusals,
         failures=failures,
         restarts=restarts,
+        due=dict(zip(replayed.world.struck, replayed.world.struck_at, strict=True)),
+        struck=struck,
     )
+    if audit is not None:
+        result.guarantees.extend(audit.report())
     return Judged(result, ledger, monitors, replayed)
 
 

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Sequence
+from math import inf
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -13,6 +14,7 @@ from protocol.messages import Progress
 
 if TYPE_CHECKING:
     from rich.live import Live
+    from rich.table import Table
     from rich.text import Text
 
     from deploy.setting import Setting
@@ -151,8 +153,25 @@ def print_verdict(result: Result) -> None:
         where = _last_place(error.traceback)
         if where:
             console.print(f"    {where}", soft_wrap=True)
+    if any(fault.due is not None for fault in result.faults):
+        console.print(_fault_table(result))
     for fault in result.faults_not_struck:
         console.print(f"  never struck: {fault}")
+
+
+def _fault_table(result: Result) -> "Table":
+    """Return a table of the faults that were due: when, what, how long until the run went on."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bright_black")
+    for title, justify in (("t", "right"), ("fault", "left"), ("real", "right"), ("on", "right")):
+        table.add_column(title, justify=justify)  # type: ignore[arg-type]
+    for fault in sorted(result.faults, key=lambda one: inf if one.due is None else one.due):
+        if fault.due is not None:
+            real = "–" if fault.struck_s is None else f"{fault.struck_s:.2f} s"
+            went_on = "–" if fault.went_on_s is None else f"{1000 * fault.went_on_s:.0f} ms"
+            table.add_row(f"{fault.due:g}", fault.fault, real, went_on)
+    return table
 
 
 def _number(value: float | None) -> str:

@@ -1,10 +1,12 @@
 """The folder of a run: what is in it, and where.
 
 journal           every input of the world; `canopy replay` needs only this
+snapshot          while the run lasts: the world as it was a while ago
 result.json       the verdict
 run.png           who visited what, and when
 bookkeeping.db    the tags as they were left
 processes.json    while the run lasts: each process and its pid
+robot-3.memory    what robot 3 was told, if its process may be started again
 logs/             what each process wrote
 """
 
@@ -72,6 +74,14 @@ class RunDir:
     def users(self) -> Path:
         """While the run lasts: who may connect to its router."""
         return self.path / "users"
+
+    def memory(self, robot: int) -> Path:
+        """What a robot remembers beyond the death of its process."""
+        return self.path / f"robot-{robot}.memory"
+
+    def clock_shift(self, process: str) -> Path:
+        """By how much the wall clock of a process is wrong, if a fault shifts it."""
+        return self.path / f"{process.replace(':', '-')}.clock"
 
     @property
     def logs(self) -> Path:

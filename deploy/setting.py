@@ -1,6 +1,5 @@
 """The setting of a run: the scenario, checked against the place that it is played at."""
 
-from math import ceil
 from pathlib import Path
 
 from msgspec import Struct
@@ -19,12 +18,13 @@ from agents.registry import (
     tag_format,
 )
 from bookkeeping.sqlite_store import tag_format_left
-from deploy.ground import Ground, ground_of, starts_on
+from deploy.chaos import with_chaos
+from deploy.ground import Ground, ground_of, place_of, starts_on
 from protocol.errors import ScenarioError
+from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
-from protocol.scenario import ChaosSection, Fault, Scenario
-from protocol.seeds import spawn
+from protocol.scenario import Scenario
 
 SQLITE = b"SQLite format 3\0"
 """What a store's file begins with."""
@@ -75,7 +75,7 @@ def prepare(scenario: Scenario) -> Setting:
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
     _check_database(scenario)
-    scenario = _with_chaos(scenario, found.ground, found.to_cover)
+    scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
     notes = (*notes, *found.notes)
     return Setting(scenario, found.ground, found.starts, algorithm, found.to_cover, notes)
 
@@ -133,36 +133,29 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
             raise ScenarioError(f"field `{field}`: found {value!r}, which is for grids only")
 
 
-def _with_chaos(scenario: Scenario, ground: Ground, to_cover: int) -> Scenario:
-    """Turn random faults into scheduled ones."""
-    chaos, robots = scenario.chaos, scenario.team.robots
-    if not chaos.robots:
-        return scenario
-    rng = spawn(scenario.seed, "chaos")
-    until = _fair_share(scenario, ground, to_cover) if chaos.until is None else chaos.until
+def _with_places(scenario: Scenario, ground: Ground) -> Scenario:
+    """Name the places of faulty tags by number.
+
+    Raises:
+        ScenarioError: If there is no such place, or no device.
+    """
     faults = []
-    for victim in rng.sample(range(robots), chaos.robots):
-        kill = f"robot:{victim}"
-        if scenario.clock.mode == "lockstep":
-            at, round_ = float(rng.randrange(ceil(until))), rng.randrange(2)
-            faults.append(Fault(kill=kill, at=at, round=round_))
-        else:
-            faults.append(Fault(kill=kill, at=rng.uniform(0.0, until)))
-    return replace(scenario, faults=(*scenario.faults, *faults), chaos=ChaosSection())
-
-
-def _fair_share(scenario: Scenario, ground: Ground, to_cover: int) -> float:
-    """Return the time in which the team could cover everything if it shared the work evenly."""
-    robots, speed = scenario.team.robots, scenario.team.speed
-    if isinstance(ground, Grid):
-        moves, length = to_cover, ground.cell_m
-    else:
-        lengths = [known or 1.0 for known in ground.lengths]
-        moves, length = 2 * len(lengths), sum(lengths) / max(1, len(lengths))
-    if scenario.clock.mode == "lockstep":
-        return max(1.0, moves / robots)
-    together = sum(speed) if isinstance(speed, tuple) else speed * robots
-    return max(1, moves) * length / together
+    if scenario.chaos.tags and not scenario.device.capacity:
+        raise ScenarioError("field `chaos.tags`: there are no devices in this scenario")
+    for index, fault in enumerate(scenario.faults):
+        if "bookkeeping" in fault.targets and not scenario.device.capacity:
+            raise ScenarioError(
+                f"field `faults[{index}].{fault.word}`: there is no bookkeeping, as there are no "
+                "devices in this scenario"
+            )
+        if fault.word in TAG_WORDS:
+            field = f"faults[{index}].{fault.word}"
+            if not scenario.device.capacity:
+                raise ScenarioError(f"field `{field}`: there are no devices in this scenario")
+            place = place_of(ground, getattr(fault, fault.word), field)
+            fault = replace(fault, **{fault.word: place})  # noqa: PLW2901  the same fault, resolved
+        faults.append(fault)
+    return replace(scenario, faults=tuple(faults))
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:

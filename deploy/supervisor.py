@@ -2,7 +2,8 @@
 
 Nothing outlives it: each process ties itself to the supervisor's life by the kernel (see
 `protocol.lifeline`), and on every way out the supervisor kills what is left and reaps it.
-Infrastructure that dies is started again, robots never: a dead robot is a lost robot.
+Infrastructure that dies is started again. Of robots the scenario says it: a dead robot is a lost robot,
+or its process is started again, if it did not end by itself.
 """
 
 import asyncio
@@ -12,6 +13,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 from protocol.errors import RunError
 from protocol.lifeline import PARENT
@@ -41,6 +43,9 @@ class Supervisor:
         self._logs = logs
         self._changed = changed
         self._processes: dict[str, asyncio.subprocess.Process] = {}
+        self._handles: dict[int, int] = {}  # by pid: a descriptor that means this process alone
+        self._ordered: dict[str, int] = {}  # deaths that we brought about ourselves
+        self._before_restart: dict[str, Callable[[], None]] = {}
         self._watches: set[asyncio.Task[None]] = set()
         self._ending = False
         self._crash_loop: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -51,7 +56,7 @@ class Supervisor:
         command: Sequence[str],
         *,
         environment: Mapping[str, str] | None = None,
-        restart: bool = False,
+        restart: Literal["never", "killed", "always"] = "never",
         ended: Callable[[int], None] | None = None,
     ) -> None:
         """Start a Python process and watch it.
@@ -60,10 +65,12 @@ class Supervisor:
             name: as in ``processes.json``.
             command: what follows the Python interpreter.
             environment: variables besides our own.
-            restart: start it again when it dies.
-            ended: called with the exit code each time it ends.
+            restart: whether to start it again when it dies: if a signal killed it, or always.
+            ended: called with the exit code when it ends and is not started again.
         """
-        if restart:
+        if self._ending:
+            return
+        if restart == "always":
             self.restarts.setdefault(name, 0)
         with (self._logs / f"{name.replace(':', '-')}.log").open("ab") as log:
             process = await asyncio.create_subprocess_exec(
@@ -76,26 +83,30 @@ class Supervisor:
                 env={**os.environ, **(environment or {}), PARENT: str(os.getpid())},
             )
         self._processes[name] = process
+        self._handles[process.pid] = os.pidfd_open(process.pid)
         self._tell()
 
         async def watch() -> None:
             code = await process.wait()
+            os.close(self._handles.pop(process.pid))
             if self._processes.get(name) is process:
                 del self._processes[name]
             if self._ending:
                 return
             self._tell()
-            if ended is not None:
-                ended(code)
-            if restart:
-                self.restarts[name] += 1
-                if self.restarts[name] > RESTARTS_MAX:
-                    self._fail(f"{name} died {RESTARTS_MAX + 1} times{self._last_words(name)}")
-                    return
-                if code == UNUSABLE:
-                    self._fail(f"{name} cannot run{self._last_words(name)}")
-                    return
-                await self.start(name, command, environment=environment, restart=True, ended=ended)
+            if restart == "never" or (restart == "killed" and code >= 0):
+                if ended is not None:
+                    ended(code)
+                return
+            self.restarts[name] = 1 + self.restarts.get(name, 0)
+            if self.restarts[name] - self._ordered.get(name, 0) > RESTARTS_MAX:
+                self._fail(f"{name} died {RESTARTS_MAX + 1} times{self._last_words(name)}")
+                return
+            if code == UNUSABLE:
+                self._fail(f"{name} cannot run{self._last_words(name)}")
+                return
+            self._before_restart.pop(name, lambda: None)()
+            await self.start(name, command, environment=environment, restart=restart, ended=ended)
 
         task = asyncio.create_task(watch())
         self._watches.add(task)
@@ -106,9 +117,14 @@ class Supervisor:
         process = self._processes.get(name)
         if process is None or process.returncode is not None:
             return False
-        with contextlib.suppress(ProcessLookupError):
-            process.send_signal(sign)
+        self._send(process, sign)
+        if sign == signal.SIGKILL:
+            self._ordered[name] = 1 + self._ordered.get(name, 0)
         return True
+
+    def before_restart(self, name: str, act: Callable[[], None]) -> None:
+        """Call ``act`` once, between the next death of a process and its next life."""
+        self._before_restart[name] = act
 
     async def crash_loop(self) -> None:
         """Return never, or raise.
@@ -134,25 +150,34 @@ class Supervisor:
         chosen = list(self._processes) if names is None else list(names)
         alive = [self._processes[name] for name in chosen if name in self._processes]
         for process in alive:
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(signal.SIGTERM)
-                process.send_signal(signal.SIGCONT)  # a frozen process cannot hear the first
+            self._send(process, signal.SIGTERM)
+            self._send(process, signal.SIGCONT)  # a frozen process cannot hear the first
         if alive:
             _, late = await asyncio.wait(
                 [asyncio.ensure_future(process.wait()) for process in alive], timeout=GRACE_S
             )
             for process in alive if late else ():
-                with contextlib.suppress(ProcessLookupError):
-                    process.kill()
+                self._send(process, signal.SIGKILL)
             for process in alive:
                 await process.wait()
+        if names is None:
+            await asyncio.gather(*self._watches, return_exceptions=True)
 
     def end_now(self) -> None:
         """Kill everything that is left, without waiting."""
         self._ending = True
         for process in self._processes.values():
+            self._send(process, signal.SIGKILL)
+
+    def _send(self, process: asyncio.subprocess.Process, sign: signal.Signals) -> None:
+        """Send a signal to a process unless it is gone.
+
+        `Process.send_signal` would poll, and so take the exit code away from who waits for it.
+        """
+        handle = self._handles.get(process.pid)
+        if handle is not None:
             with contextlib.suppress(ProcessLookupError):
-                process.kill()
+                signal.pidfd_send_signal(handle, sign)
 
     def _tell(self) -> None:
         self._changed({name: process.pid for name, process in self._processes.items()})

@@ -51,10 +51,7 @@ class PortGraph:
             edge_at[v].append(edge)
         self.far = tuple(map(tuple, far))
         self.back = tuple(map(tuple, back))
-        self.ways = tuple(
-            tuple(zip(far_of, back_of, strict=True))
-            for far_of, back_of in zip(far, back, strict=True)
-        )
+        self.ways = tuple(map(tuple, map(zip, far, back)))
         self.edge_at = tuple(map(tuple, edge_at))
 
     def degree(self, vertex: int) -> int:

@@ -14,7 +14,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of all messages below; checked when a process joins."""
 
 PAYLOAD_BYTES_MAX = 1 << 20
@@ -137,6 +137,10 @@ class Stopped(Message, frozen=True, tag="stopped"):
     """The stop is committed; the process may exit."""
 
 
+class Again(Message, frozen=True, tag="again"):
+    """A world that was away, or cut off, asks for the open request once more."""
+
+
 class Refusal(Message, frozen=True, tag="refusal"):
     """The request did not happen; the robot that made it is out of the run.
 
@@ -151,6 +155,7 @@ class Refusal(Message, frozen=True, tag="refusal"):
 
 AnySight = Sight | GridSight
 AnyReply = Sight | GridSight | Stopped | Refusal
+"""What a request may be answered by."""
 
 # A robot and the world.
 
@@ -214,6 +219,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
         radio: what its radio can be relied on for.
         sensing: how it senses.
         position: row and column of its start, on a grid.
+        devices_fail: whether tags may vanish or change by themselves.
         nonce: carried by its keys and its token from now on.
     """
 
@@ -228,6 +234,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
     radio: RadioFacts = RadioFacts()
     sensing: SensingFacts = SensingFacts()
     position: tuple[int, int] | None = None
+    devices_fail: bool = False
     nonce: str = ""
 
 
@@ -239,19 +246,31 @@ class NumberedRequest(Message, frozen=True, tag="request"):
 
 
 class NumberedReply(Message, frozen=True, tag="reply"):
-    """The reply to the request of that number."""
+    """The reply to the request of that number; `Again` answers none, and bears the last one known."""
 
     seq: int
-    reply: AnyReply
+    reply: AnyReply | Again
 
 
 # The world and the supervisor.
 
 
-class KillOrder(Message, frozen=True, tag="kill_order"):
-    """The world stands still until robot ``robot`` is known dead; ``order`` numbers the order."""
+class Up(Message, frozen=True, tag="up"):
+    """A world server has begun to live: whatever it should know is to be said (again).
 
-    order: int
+    Attributes:
+        incarnation: number of this life.
+        phases: how long each part of its start took, real seconds.
+    """
+
+    incarnation: int
+    phases: dict[str, float] = {}
+
+
+class KillOrder(Message, frozen=True, tag="kill_order"):
+    """The world stands still until robot ``robot`` is known dead; ``fault`` is its number."""
+
+    fault: int
     robot: int
 
 
@@ -259,6 +278,32 @@ class Reaped(Message, frozen=True, tag="reaped"):
     """The supervisor's word: the process of robot ``robot`` is dead."""
 
     robot: int
+
+
+class FaultOrder(Message, frozen=True, tag="fault_order"):
+    """The world stands still until fault number ``fault`` was taken down; it is repeated till then."""
+
+    fault: int
+
+
+class Taken(Message, frozen=True, tag="taken"):
+    """The supervisor's word: fault number ``fault`` strikes, now or as late as it is to be."""
+
+    fault: int
+
+
+class Struck(Message, frozen=True, tag="struck"):
+    """The supervisor's word: fault number ``fault`` has struck at ``at_s`` (monotonic clock)."""
+
+    fault: int
+    at_s: float
+
+
+class WentOn(Message, frozen=True, tag="went_on"):
+    """The world's answer to `Struck`: when the first wave after it was committed (monotonic clock)."""
+
+    fault: int
+    at_s: float
 
 
 class Progress(Message, frozen=True, tag="progress"):
@@ -285,7 +330,9 @@ class Ended(Message, frozen=True, tag="ended"):
     status: Literal["over", "stalled"]
 
 
-AnyReport = KillOrder | Progress | Ended
+AnyReport = Up | KillOrder | FaultOrder | WentOn | Progress | Ended
+AnyWord = Reaped | Taken | Struck
+"""What the supervisor tells the world."""
 
 # The world and the bookkeeping store.
 
@@ -298,9 +345,10 @@ class Hello(Message, frozen=True, tag="hello"):
 
 
 class HelloReply(Message, frozen=True, tag="hello_reply"):
-    """The wave number of the last batch applied (0: none)."""
+    """The wave number of the last batch applied (0: none), as the hello of that incarnation asked."""
 
     wave: int
+    incarnation: int
 
 
 class TagWrite(Message, frozen=True, tag="tag_write"):
@@ -312,17 +360,26 @@ class TagWrite(Message, frozen=True, tag="tag_write"):
 
 
 class Batch(Message, frozen=True, tag="batch"):
-    """Writes of the waves up to ``wave``, in order; applied once, in one transaction."""
+    """Writes of the waves up to ``wave``, in order; applied once, in one transaction.
+
+    ``after`` is the wave up to which the store has acknowledged everything: one that is not there any
+    more has lost its end.
+    """
 
     incarnation: int
     wave: int
     writes: tuple[TagWrite, ...]
+    after: int = 0
 
 
 class BatchReply(Message, frozen=True, tag="batch_reply"):
-    """The batch up to ``wave`` is durable, as far as the scenario's durability asks."""
+    """The batch up to ``wave`` is durable, as far as the scenario's durability asks.
+
+    ``incarnation`` is that of the batch: an answer may outlive the world that asked.
+    """
 
     wave: int
+    incarnation: int
 
 
 class ReadTags(Message, frozen=True, tag="read_tags"):
@@ -330,6 +387,7 @@ class ReadTags(Message, frozen=True, tag="read_tags"):
 
     number: int
     places: tuple[int, ...]
+    incarnation: int
 
 
 class ReadTagsReply(Message, frozen=True, tag="read_tags_reply"):
@@ -337,12 +395,14 @@ class ReadTagsReply(Message, frozen=True, tag="read_tags_reply"):
 
     number: int
     tags: tuple[TagWrite, ...]
+    incarnation: int
 
 
 class StoreRefusal(Message, frozen=True, tag="store_refusal"):
-    """The store refuses what it was asked, with the reason."""
+    """The store refuses what the world of that incarnation asked, with the reason."""
 
     detail: str
+    incarnation: int
 
 
 AnyStoreRequest = Hello | Batch | ReadTags

@@ -14,20 +14,11 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import msgspec.inspect
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from protocol.errors import ScenarioError
-
-Positive = Annotated[float, Meta(gt=0)]
-Count = Annotated[int, Meta(ge=1)]
-Natural = Annotated[int, Meta(ge=0)]
-OptionValue = bool | int | float | str
-Start = str | int | tuple[int, int]
-
-
-class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Root of all parts of a scenario."""
-
+from protocol.faults import Fault, misfits_of
+from protocol.section import Count, Misfit, Natural, OptionValue, Positive, Section, Start
 
 # Generators: a world without a file.
 
@@ -134,6 +125,9 @@ class TeamSection(Section, frozen=True, kw_only=True):
     robots: Count  #: Number of robots (the papers' k).
     speed: Positive | tuple[Positive, ...] = 1.0
     #: Length per time unit (event clock), or one each.
+    on_crash: Literal["lost", "restart"] = "lost"
+    #: What the death of a robot's process means: the robot is lost, as in the papers; or it is started
+    #: again and goes on where it was, and the trace is as if nothing had happened.
 
 
 class ClockSection(Section, frozen=True, kw_only=True):
@@ -186,6 +180,8 @@ class DeviceSection(Section, frozen=True, kw_only=True):
 
     capacity_bytes: Natural | None = None
     #: Size of its tag; 0: places carry no device. Default: 888, and 0 where the algorithm uses none.
+    checksum: bool = True
+    #: Whether a device notices that its tag was corrupted, and reads as blank then.
 
     @property
     def capacity(self) -> int:
@@ -211,25 +207,16 @@ class NetworkSection(Section, frozen=True, kw_only=True):
     patience_s: Annotated[float, Meta(ge=1)] = 5.0  #: A silent robot is lost after this time.
 
 
-class Fault(Section, frozen=True, kw_only=True):
-    """One scheduled fault. Give ``at`` or ``at_request``."""
-
-    kill: str  #: ``"robot:3"``.
-    at: Annotated[float, Meta(ge=0)] | None = None  #: Virtual time at which it strikes.
-    round: Natural = 0
-    #: With ``at``: after how many rounds of that instant; 0: before anybody there acts.
-    at_request: Count | None = None  #: In place of the robot's n-th request.
-
-    @property
-    def robot(self) -> int:
-        """The robot that this fault kills."""
-        return int(self.kill.removeprefix("robot:"))
-
-
 class ChaosSection(Section, frozen=True, kw_only=True):
     """Random faults, drawn from the seed before the run."""
 
     robots: Natural = 0  #: How many robots are killed, each once; fewer than there are.
+    infrastructure: Natural = 0
+    #: How many times the world, the store or a separate router is killed, also at once and while one
+    #: comes back.
+    network: Natural = 0
+    #: How many times a process is frozen, cut off or slowed down, for less than ``network.patience_s``.
+    tags: Natural = 0  #: How many times a tag is erased or corrupted, or a device destroyed.
     until: Positive | None = None
     #: They strike before this virtual time. Default: the time in which the team could have covered
     #: everything if it shared the work evenly.
@@ -240,7 +227,8 @@ class Scenario(Section, frozen=True, kw_only=True):
 
     name: str = ""  #: For people; default: the name of the file.
     algorithm: str  #: A name that ``canopy doctor`` lists, or ``package.module:function``.
-    algorithm_options: dict[str, OptionValue] = {}  #: As the algorithm defines them.
+    algorithm_options: dict[str, OptionValue] = msgspec.field(default_factory=dict)
+    #: As the algorithm defines them.
     seed: int = 0  #: All randomness of the run comes from it.
     durability: Literal["process", "power"] = "process"
     #: What is acknowledged survives kill -9 of any process, or loss of power too (slower).
@@ -384,10 +372,6 @@ def _check(scenario: Scenario, source: str) -> None:
             raise ScenarioError(f"{source}: field `{field}`: found {found!r}, expected {expected}")
 
 
-Misfit = tuple[str, object, str]
-"""A field, what was found there, and what was expected."""
-
-
 def _world_faults(scenario: Scenario) -> Iterator[Misfit]:
     world, team = scenario.world, scenario.team
     if (world.map is None) == (world.generate is None):
@@ -433,13 +417,10 @@ def _schedule_faults(scenario: Scenario) -> Iterator[Misfit]:
     if scenario.chaos.until == inf:
         yield "chaos.until", inf, "a finite time"
     for index, fault in enumerate(scenario.faults):
-        field = f"faults[{index}]"
-        kind, colon, number = fault.kill.partition(":")
-        if kind != "robot" or not colon or not number.isdecimal() or int(number) >= robots:
-            yield f"{field}.kill", fault.kill, f'"robot:0" to "robot:{robots - 1}"'
-        if (fault.at is None) == (fault.at_request is None):
-            yield field, fault.kill, "one of `at` and `at_request`"
-        if fault.at == inf:
-            yield f"{field}.at", fault.at, "a finite time"
-        if fault.at_request is not None and fault.round:
-            yield f"{field}.round", fault.round, "no round with `at_request`"
+        for name, found, expected in misfits_of(
+            fault,
+            scenario.team.robots,
+            restart=scenario.team.on_crash == "restart",
+            separate=scenario.network.router == "separate",
+        ):
+            yield f"faults[{index}]{name}", found, expected

@@ -40,6 +40,7 @@ from protocol.errors import (
 from protocol.keys import Keys
 from protocol.messages import (
     SCHEMA_VERSION,
+    Again,
     AnyReply,
     AnyRequest,
     Briefing,
@@ -88,7 +89,8 @@ class LinkConfig(Struct, frozen=True):
         users: router only: file of those who may connect, a line ``user:password`` each; ``None``:
             everybody may do anything.
         robots: router only: number of robots, for access control.
-        patience_s: after this silence the others take this process for gone.
+        patience_s: after this silence the others take this process for gone. Half of it is the lease
+            of its connection, the other half the time in which it may come back.
         host: where the router is.
     """
 
@@ -250,14 +252,21 @@ class Link:
 class RobotLine:
     """A robot's line to the world: one request at a time, numbered, repeated until answered."""
 
-    def __init__(self, link: Link, robot: int) -> None:
-        """Join the run.
+    def __init__(self, link: Link, robot: int, process: str = "", answered: int = 0) -> None:
+        """Join the run, or join it again.
+
+        Args:
+            link: our session.
+            robot: the identity to join under.
+            process: what tells this process from any other; one that died and came back gives the
+                same text as before.
+            answered: how many requests were answered in its earlier lives.
 
         Raises:
             JoinError: If the world refuses.
             OutcomeUnknownError: If no world answers in time.
         """
-        join = encode(Join(SCHEMA_VERSION, robot, os.urandom(8).hex()))
+        join = encode(Join(SCHEMA_VERSION, robot, process or os.urandom(8).hex()))
         decode = decoder_of(Briefing | Refusal)  # type: ignore[arg-type]  # a union is a type here
         answer: Any = decode(_insist(link, link.keys.join(robot), join))
         if isinstance(answer, Refusal):
@@ -268,7 +277,7 @@ class RobotLine:
         self._inbox = link.inbox(link.keys.replies(robot, nonce))
         self._put = link.publisher(link.keys.requests(robot, nonce), express=True)
         self._decode = decoder_of(NumberedReply)
-        self._seq = 0
+        self._seq = answered
         self._open: bytes | None = None
         self._repeat_at = 0.0
         self._pause_s = REPEAT_S
@@ -303,10 +312,12 @@ class RobotLine:
         self._put(payload)
         while True:
             reply = self._decode(self._inbox.receive_bytes())
-            if reply.seq == seq:  # anything else answers a repeat of an older request
+            answer = reply.reply
+            if isinstance(answer, Again):
+                self._put(payload)  # it, or its answer, may have been lost while the world was away
+            elif reply.seq == seq:  # anything else answers a repeat of an older request
                 break
         self._open = None
-        answer = reply.reply
         if isinstance(answer, Refusal) and answer.error == FencedError.__name__:
             raise FencedError(answer.detail)
         return answer
@@ -405,6 +416,13 @@ def run_process(name: str, main: Coroutine[Any, Any, int | None]) -> NoReturn:
     os._exit(code or 0)
 
 
+def age_s() -> float:
+    """Return how long ago this process was started, seconds (to 10 ms)."""
+    with open("/proc/self/stat", encoding="ascii") as stat:  # noqa: PTH123  no need of a path
+        started = int(stat.read().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+    return max(0.0, time.clock_gettime(time.CLOCK_BOOTTIME) - started)
+
+
 def free_port(port: int = 0) -> int:
     """Return ``port`` if it is free, or for 0 a free one outside the ephemeral range.
 
@@ -446,7 +464,7 @@ def _zenoh_config(config: LinkConfig) -> Any:  # noqa: ANN401
         "scouting/delay": 0,
         # Each kill -9 of a process with shared memory would leave 17 MB in /dev/shm.
         "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": int(config.patience_s * 1000),
+        "transport/link/tx/lease": int(config.patience_s * 500),
         "transport/link/tx/keep_alive": 4,
     }
     if config.mode == "router":

@@ -9,6 +9,7 @@ from math import isfinite
 from zlib import crc32
 
 from protocol.codec import encode
+from protocol.faults import Fault
 from protocol.graph import PortGraph
 from protocol.messages import (
     AnyRequest,
@@ -22,7 +23,7 @@ from protocol.messages import (
     WaitForNews,
     Write,
 )
-from protocol.scenario import Fault, Scenario
+from protocol.scenario import Scenario
 from protocol.seeds import spawn
 from protocol.trace import Event
 
@@ -149,6 +150,7 @@ class NaiveWorld:
     def kill(self, index: int) -> None:
         fault = self.scenario.faults[index]
         self.faults.remove((index, fault))
+        assert fault.robot is not None
         victim = self.robots[fault.robot]
         if victim.alive():
             self.struck.append(index)

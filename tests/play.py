@@ -25,9 +25,9 @@ from protocol.messages import (
     Write,
 )
 from protocol.scenario import Scenario, from_tree
-from protocol.trace import Event, LossCause, TraceDigest
+from protocol.trace import NOBODY, Event, LossCause, TraceDigest
 from world_server.terrain import GraphTerrain, terrain_of
-from world_server.world import Answers, End, KillOrder, TagsWanted, Wave, World
+from world_server.world import Answers, End, FaultOrder, KillOrder, TagsWanted, Wave, World
 
 Script = Callable[[Body], Coroutine[AnyRequest, Sight, Stop | None]]
 
@@ -172,7 +172,8 @@ class Played(NamedTuple):
         """Return what became of each robot."""
         fates = [Fate() for _ in range(self.robots)]
         for event in self.events:
-            fates[event.robot](event)
+            if event.robot != NOBODY:
+                fates[event.robot](event)
         return fates
 
     def stops(self) -> list[float | None]:
@@ -257,7 +258,7 @@ class Conducted(NamedTuple):
     world: World
     events: list[Event]
     end: End
-    outputs: list[Wave | KillOrder | TagsWanted]
+    outputs: list[Wave | KillOrder | FaultOrder | TagsWanted]
     writes: list[tuple[int, int, bytes]]
 
     def waves(self) -> list[tuple[float, int, int, list[int]]]:
@@ -300,7 +301,7 @@ def conducted(
         on_write=lambda *write: writes.append(write),
     )
     drivers = [Driver(script, Body(world.briefing(robot))) for robot, script in enumerate(scripts)]
-    outputs: list[Wave | KillOrder | TagsWanted] = []
+    outputs: list[Wave | KillOrder | FaultOrder | TagsWanted] = []
     waves = 0
     output = world.begin()
     while not isinstance(output, End):
@@ -315,6 +316,8 @@ def conducted(
             output = world.resume(Answers(list(requests), lost))
         elif isinstance(output, KillOrder):
             drivers[output.robot].close()
+            output = world.resume(None)
+        elif isinstance(output, FaultOrder):
             output = world.resume(None)
         else:
             known = old_tags or {}

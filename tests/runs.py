@@ -37,7 +37,8 @@ class Run(NamedTuple):
         trace_sha256: as its journal says.
         status: how it ended.
         failures: for each robot whose algorithm failed what it said.
-        restarts: of the infrastructure.
+        restarts: of the infrastructure, and of robots that came back.
+        played: what the journal does not tell of a run by processes; ``None`` in one thread.
     """
 
     folder: RunDir
@@ -45,6 +46,7 @@ class Run(NamedTuple):
     status: str
     failures: dict[int, str]
     restarts: dict[str, int]
+    played: processes.Played | None = None
 
 
 def setting_of(
@@ -63,13 +65,15 @@ def play(setting: Setting, folder: Path, engine: str) -> Run:
     name = f"test-{uuid.uuid4().hex[:12]}"
     run_dir = RunDir.create(folder / name, name)
     restarts: dict[str, int] = {}
+    played = None
     if engine == "processes":
-        restarts, failures = asyncio.run(processes.play(setting, run_dir, name, lambda _: None))
+        played = asyncio.run(processes.play(setting, run_dir, name, lambda _: None))
+        restarts, failures = played.restarts, played.failures
     else:
         failures = inprocess.run(setting, run_dir, name, lambda _: None)
     *_, (closing, _) = scan(run_dir.journal)
     assert isinstance(closing, Closing)
-    return Run(run_dir, closing.trace_sha256, closing.status, failures, restarts)
+    return Run(run_dir, closing.trace_sha256, closing.status, failures, restarts, played)
 
 
 def requests_of(run: Run) -> list[int]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from deploy.verdict.audit import SOURCE as AUDIT
 from protocol.zenoh_link import free_port
 from tests.conftest import ROOT, shared
 from tests.runs import Said, Watch, free, run_cli, write_scenario
@@ -94,6 +95,11 @@ def test_both_engines_say_the_same(scenario: Path):
     for result in results:
         for field in ("engine", "wall_s", "steps_per_s", "restarts"):
             del result[field]
+        for fault in result["faults"]:
+            del fault["struck_s"], fault["went_on_s"]
+        # What a run by processes left in its folder is audited; in one thread that has no meaning.
+        claims = result["guarantees"]
+        result["guarantees"] = [claim for claim in claims if claim["source"] != AUDIT]
     assert results[0] == results[1]
     assert results[0]["robots_lost"] == [1]
     assert results[0]["per_robot"][1]["lost_at"] == 3

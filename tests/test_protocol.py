@@ -14,16 +14,19 @@ from protocol.codec import decoder_of, encode
 from protocol.errors import CanopyError, MessageError, OutcomeUnknownError, RuleError, rule_errors
 from protocol.keys import Keys
 from protocol.messages import (
+    Again,
     AnyReply,
     AnyReport,
     AnyRequest,
     AnyStoreReply,
     AnyStoreRequest,
+    AnyWord,
     Batch,
     BatchReply,
     Briefing,
     Ended,
     Exchange,
+    FaultOrder,
     GridSight,
     Hello,
     HelloReply,
@@ -42,9 +45,13 @@ from protocol.messages import (
     Stop,
     Stopped,
     StoreRefusal,
+    Struck,
     TagWrite,
+    Taken,
+    Up,
     Wait,
     WaitForNews,
+    WentOn,
     Write,
 )
 
@@ -64,22 +71,35 @@ EXAMPLES: list[tuple[Any, list[Any]]] = [
     (AnyRequest, REQUESTS),
     (AnyReply, [SIGHT, GRID_SIGHT, Stopped(), Refusal("TagError", "too long")]),
     (NumberedRequest, [NumberedRequest(7, request) for request in REQUESTS]),
-    (NumberedReply, [NumberedReply(7, SIGHT), NumberedReply(8, Stopped())]),
+    (
+        NumberedReply,
+        [NumberedReply(7, SIGHT), NumberedReply(8, Stopped()), NumberedReply(9, Again())],
+    ),
     (Join, [Join(1, 2, "abc")]),
     (
         Briefing,
         [Briefing(0, 2, 9, "mr-dfs", {"a": True, "b": 0.5}, 888, "global", True, nonce="0f")],
     ),
-    (AnyReport, [KillOrder(1, 2), Progress(1.0, 2, 3, 4, ((1, 0.5),)), Ended("stalled")]),
-    (Reaped, [Reaped(3)]),
-    (AnyStoreRequest, [Hello(1, 2), Batch(1, 7, (TagWrite(1, 2, b"t"),)), ReadTags(1, (2, 3))]),
+    (
+        AnyReport,
+        [
+            Up(2, {"start": 0.5}),
+            KillOrder(1, 2),
+            FaultOrder(3),
+            WentOn(3, 12.5),
+            Progress(1.0, 2, 3, 4, ((1, 0.5),)),
+            Ended("stalled"),
+        ],
+    ),
+    (AnyWord, [Reaped(3), Taken(4), Struck(4, 12.5)]),
+    (AnyStoreRequest, [Hello(1, 2), Batch(1, 7, (TagWrite(1, 2, b"t"),)), ReadTags(1, (2, 3), 1)]),
     (
         AnyStoreReply,
         [
-            HelloReply(7),
-            BatchReply(7),
-            ReadTagsReply(1, (TagWrite(1, 2, b"t"),)),
-            StoreRefusal("reason"),
+            HelloReply(7, 1),
+            BatchReply(7, 1),
+            ReadTagsReply(1, (TagWrite(1, 2, b"t"),), 1),
+            StoreRefusal("reason", 1),
         ],
     ),
 ]

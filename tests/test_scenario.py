@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import InputError, ScenarioError
+from protocol.faults import Fault
 from protocol.scenario import (
     ClockSection,
     DeviceSection,
-    Fault,
     NaryTree,
     Scenario,
     from_tree,
@@ -131,7 +131,7 @@ def test_an_empty_name_of_a_file_stays_empty() -> None:
         ({"durability": "none"}, "durability", "'none'", ""),
         ({"seed": "x"}, "seed", "`str`", "`int`"),
         ({"faults": [{"kill": "robot:3", "at": 1}]}, "faults[0].kill", "'robot:3'", "robot:2"),
-        ({"faults": [{"kill": "world", "at": 1}]}, "faults[0].kill", "'world'", "robot:2"),
+        ({"faults": [{"kill": "router", "at": 1}]}, "faults[0].kill", "'router'", "robot:2"),
         ({"faults": [{"kill": "robot:x", "at": 1}]}, "faults[0].kill", "'robot:x'", "robot:2"),
         ({"faults": [{"kill": "robot:-1", "at": 1}]}, "faults[0].kill", "'robot:-1'", "robot:2"),
         ({"faults": [{"kill": "robot:0"}]}, "faults[0]", "", "one of `at` and `at_request`"),

@@ -1,8 +1,5 @@
-"""The bookkeeping stores: one conformance suite, a state machine, files, and kill -9."""
+"""The bookkeeping stores: one conformance suite, a state machine, and files."""
 
-import inspect
-import random
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -15,7 +12,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from bookkeeping.sqlite_store import Durability, SqliteStore
+from bookkeeping.sqlite_store import FILE_VERSION, Durability, SqliteStore
 from bookkeeping.store import NUMBER_MAX, MemoryStore, Store
 from protocol.errors import StoreError
 from protocol.messages import Batch, TagWrite
@@ -406,13 +403,15 @@ def test_the_database_of_another_program_is_left_alone(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_newer_file_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [1, FILE_VERSION + 1])
+def test_a_file_of_another_version_is_refused(tmp_path: Path, version: int) -> None:
     path = tmp_path / "tags.sqlite"
     open_file(path).close()
     database = sqlite3.connect(path)
-    database.execute("PRAGMA user_version = 2")
+    database.execute(f"PRAGMA user_version = {version}")
     database.close()
-    with pytest.raises(StoreError, match=r"tags\.sqlite: written in version 2.*expected version 1"):
+    match = rf"tags\.sqlite: written in version {version}.*expected version {FILE_VERSION}"
+    with pytest.raises(StoreError, match=match):
         open_file(path)
 
 
@@ -499,97 +498,3 @@ def test_a_second_process_is_refused_at_once(tmp_path: Path) -> None:
         )  # fmt: skip
         assert "tags.sqlite: another process has it open" in other.stdout
         assert store.apply(batch(1, (0, 1, b"a"))) == 1
-
-
-# Kill -9. The child's waves are a pure function of their numbers: the parent knows what each left.
-
-PLACES = 60
-
-
-def writes_of(wave: int) -> list[tuple[int, bytes]]:
-    """Places and tags of a wave: any number of writes, up to the large batches of a busy world."""
-    rng = random.Random(wave)
-    size = rng.choice((1, 1, 3, 20, PLACES))
-    return [
-        (place, rng.randbytes(rng.randint(0, 400))) for place in rng.sample(range(PLACES), size)
-    ]
-
-
-# The child gets the text of writes_of: importing this module would take it longer than it lives.
-CHILD = f"""
-import os, random, sys
-PLACES = {PLACES}
-{inspect.getsource(writes_of)}
-from bookkeeping.sqlite_store import SqliteStore
-from protocol.messages import Batch, TagWrite
-
-incarnation = int(sys.argv[2])
-os.write(1, b"up\\n")
-store = SqliteStore(sys.argv[1], run="r", capacity_bytes=400, fresh=True, durability="process")
-wave = store.hello(incarnation)
-revisions = {{place: write.revision for place, write in store.tags().items()}}
-while True:
-    wave += 1
-    writes = []
-    for place, tag in writes_of(wave):
-        revisions[place] = revisions.get(place, 0) + 1
-        writes.append(TagWrite(place, revisions[place], tag))
-    assert store.apply(Batch(incarnation, wave, tuple(writes))) == wave
-    os.write(1, b"%d\\n" % wave)
-"""
-
-
-def kill_rounds(path: Path, rounds: int, seed: int) -> None:
-    """Let a child write, kill it, look at what is there; the next child goes on from it."""
-    rng = random.Random(seed)
-    acknowledged = 0
-    model: dict[int, TagWrite] = {}
-    modelled = 0
-    for incarnation in range(1, rounds + 1):
-        child = subprocess.Popen(
-            [sys.executable, "-c", CHILD, path, str(incarnation)],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-        )
-        assert child.stdout is not None
-        # The moment: after so many lines, and then so many turns of a loop that does nothing.
-        with child.stdout as lines:
-            said = [lines.readline() for _ in range(rng.choice((1, 1, 2, 10, 60, 300)))]
-            for _ in range(rng.randrange(20_000)):
-                pass
-            child.send_signal(signal.SIGKILL)
-            said += lines.readlines()
-        assert child.wait() == -signal.SIGKILL
-        if said[-1] != b"up\n":
-            acknowledged = int(said[-1])
-
-        with SqliteStore(
-            path, run="r", capacity_bytes=400, fresh=True, durability="process"
-        ) as store:
-            wave = store.hello(incarnation)
-            # Nothing acknowledged is missing; at most the one wave under way is there besides.
-            assert acknowledged <= wave <= acknowledged + 1
-            last: tuple[TagWrite, ...] = ()
-            for applied in range(modelled + 1, wave + 1):
-                last = tuple(
-                    TagWrite(place, model[place].revision + 1 if place in model else 1, tag)
-                    for place, tag in writes_of(applied)
-                )
-                model.update({write.place: write for write in last})
-            modelled = acknowledged = wave
-            # Revisions count the writes, so this also says that nothing was applied twice, ...
-            assert store.tags() == model
-            # ... and a repeat of the last batch still is not.
-            assert store.apply(Batch(incarnation, wave, last)) == wave
-            assert store.tags() == model
-    assert modelled > rounds  # or the children did nothing
-
-
-def test_kill_9_loses_nothing_acknowledged(tmp_path: Path) -> None:
-    kill_rounds(tmp_path / "tags.sqlite", rounds=20, seed=1)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_kill_9_loses_nothing_acknowledged_in_many_rounds(tmp_path: Path) -> None:
-    kill_rounds(tmp_path / "tags.sqlite", rounds=200, seed=2)

@@ -1,5 +1,7 @@
 """The world's side of the store: batches, their times, and an unreliable link to a real store."""
 
+from unittest.mock import ANY
+
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -19,7 +21,22 @@ def ready(incarnation: int = 1, writes_max: int = 4, delay_s: float = 0.05) -> W
 
 
 def batch(wave: int, *writes: tuple[int, int, bytes], incarnation: int = 1) -> Batch:
-    return Batch(incarnation, wave, tuple(TagWrite(*write) for write in writes))
+    return Batch(incarnation, wave, tuple(TagWrite(*write) for write in writes), after=ANY)
+
+
+def test_a_batch_says_what_it_follows() -> None:
+    behind = ready(writes_max=1)
+    behind.note(1, 0, 1, b"a")
+    first = behind.take(0.0)
+    assert first is not None
+    assert first.after == 0
+    behind.acknowledged(1)
+    behind.note(3, 0, 2, b"b")
+    second = behind.take(0.0)
+    assert second is not None
+    assert second.after == 1
+    with pytest.raises(StoreError, match=r"wave 3 follows wave 1, .* the store is at wave 0"):
+        MemoryStore(run="run", capacity_bytes=8, fresh=True).apply(second)
 
 
 # When a batch leaves.

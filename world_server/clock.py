@@ -4,9 +4,10 @@ Time is float64 everywhere (6 and 6.0 encode differently), computed only as now 
 one instant are those whose times are exactly equal.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from heapq import heappop, heappush
 from math import isfinite
+from operator import itemgetter
 from typing import Generic, TypeVar
 
 from protocol.errors import DurationError
@@ -23,9 +24,11 @@ class Lockstep:
 
     Attributes:
         tick: how long each move takes; ``None`` where that depends on the move.
+        streams: what it draws from.
     """
 
     tick: float | None = 1.0
+    streams: Sequence[Stream] = ()
 
     def move_duration(self, robot: int, place: int, exit_: int) -> float:  # noqa: ARG002  any clock's
         """Return 1.0, whatever the robot and the edge."""
@@ -47,6 +50,10 @@ class EventClock:
 
     A missing length, or 0, reads as 1. Asynchronous in virtual time, and exactly repeatable: each
     robot draws from a random stream of its own, once a move.
+
+    Attributes:
+        tick: as of `Lockstep`.
+        streams: what it draws from, by robot; none without jitter.
     """
 
     tick: float | None = None
@@ -56,13 +63,14 @@ class EventClock:
         robots = scenario.team.robots
         speed = scenario.team.speed
         self._speeds = speed if isinstance(speed, tuple) else (speed,) * robots
-        self._streams = [spawn(scenario.seed, "jitter", robot) for robot in range(robots)]
         self._factor = _jitter(scenario.clock.jitter)
+        drawn = () if self._factor is None else range(robots)
+        self.streams: Sequence[Stream] = [spawn(scenario.seed, "jitter", robot) for robot in drawn]
 
     def move_duration(self, robot: int, place: int, exit_: int) -> float:
         """Return how long this move of ``robot`` takes, by ``exit_`` of ``place``."""
         duration = (self._length(place, exit_) or 1.0) / self._speeds[robot]
-        return duration if self._factor is None else duration * self._factor(self._streams[robot])
+        return duration if self._factor is None else duration * self._factor(self.streams[robot])
 
     def wait_duration(self, duration: float) -> float:
         """Return ``duration``.
@@ -94,9 +102,14 @@ class Agenda(Generic[T]):
 
     __slots__ = ("_at", "_times")
 
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._at: dict[float, list[T]] = {}
+    def __init__(self, planned: Iterable[tuple[float, list[T]]] = ()) -> None:
+        """Begin with what is planned, in order of time."""
+        self._at: dict[float, list[T]] = dict(planned)
+        self._times = list(self._at)  # in order, hence a heap
+
+    def planned(self) -> list[tuple[float, list[T]]]:
+        """Return what is to happen, in order of time."""
+        return sorted(self._at.items(), key=itemgetter(0))
 
     def at(self, time: float) -> list[T]:
         """Return the list of what happens at ``time``, to be appended to."""

@@ -1,9 +1,8 @@
 """The journal: every input of the world, written before any reply that depends on it.
 
-An append-only file. Each record is 12 bytes of header (length of the body, CRC-32 of the body, CRC-32
-of these two) and a msgpack body. The header has a checksum of its own, so that a damaged length is
-told from a record that a crash cut short: the latter can only be the last and is dropped, anything
-else is refused with file and offset.
+An append-only file of records (`protocol.records`), each of them msgpack. One that a crash cut short
+can only be the last and is dropped; anything else that is damaged is refused with file and offset.
+Who appends holds the file as long as it lives, so that two world servers cannot share a run.
 
 ``durability = "process"`` hands each record to the kernel, which survives kill -9 of any process;
 ``"power"`` flushes it to the disk as well, which survives loss of power.
@@ -11,8 +10,8 @@ else is refused with file and offset.
 
 import os
 from collections.abc import Iterator
+from fcntl import LOCK_EX, LOCK_NB, flock
 from pathlib import Path
-from struct import Struct as Layout
 from typing import Any, Literal
 from zlib import compress, crc32, decompress
 
@@ -23,13 +22,13 @@ from protocol.errors import JournalError, MessageError
 from protocol.graph import PortGraph
 from protocol.grid import Grid
 from protocol.messages import SCHEMA_VERSION, AnyRequest, TagWrite
+from protocol.records import framed, read_records
 from protocol.scenario import Scenario, from_tree
 from protocol.trace import LossCause
 
 MAGIC = b"canopy journal 1\n"
-_HEADER = Layout("<III")
-_SUMS = Layout("<II")
 RECORD_BYTES_MAX = 1 << 30
+_READ_BYTES = 1 << 20
 
 
 class Record(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -129,6 +128,15 @@ class OldTags(Record, frozen=True, tag="old_tags"):
     tags: tuple[TagWrite, ...]
 
 
+class CarriedOut(Record, frozen=True, tag="carried_out"):
+    """What the world ordered on account of fault number ``fault`` was done; it goes on.
+
+    Where there is none (in-process) the next record implies it.
+    """
+
+    fault: int
+
+
 class Closing(Record, frozen=True, tag="closing"):
     """The last record of a run that ended.
 
@@ -143,37 +151,82 @@ class Closing(Record, frozen=True, tag="closing"):
     play_s: float
 
 
-AnyRecord = Opening | Incarnation | Joined | WaveRecord | OldTags | Closing
+AnyRecord = Opening | Incarnation | Joined | WaveRecord | OldTags | CarriedOut | Closing
+
+
+def hold(path: Path, *, create: bool = False) -> int:
+    """Hold a journal, against any other process and any other `Journal`, until it is closed.
+
+    Returns:
+        Its descriptor, open for writing.
+
+    Raises:
+        JournalError: If it cannot be opened, or another holds it.
+    """
+    flags = os.O_WRONLY | os.O_CLOEXEC | (os.O_CREAT if create else 0)
+    try:
+        descriptor = os.open(path, flags, 0o644)
+    except OSError as error:
+        raise JournalError(f"{path}: {error.strerror or error}; expected a journal") from None
+    try:
+        flock(descriptor, LOCK_EX | LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise JournalError(f"{path}: another world server is alive on this run") from None
+    return descriptor
 
 
 class Journal:
     """A journal open for appending."""
 
-    def __init__(self, path: Path, durability: Literal["process", "power"] = "process") -> None:
+    def __init__(
+        self,
+        path: Path,
+        durability: Literal["process", "power"] = "process",
+        *,
+        held: int | None = None,
+        end: int | None = None,
+    ) -> None:
         """Open ``path``, new or to be continued behind its last whole record.
 
+        Args:
+            path: the file.
+            durability: what each record survives once it is written.
+            held: its descriptor, where the caller holds it already; closed in any case by `close`.
+            end: offset behind its last whole record, where the caller has just read that.
+
         Raises:
-            JournalError: If what is there already is damaged.
+            JournalError: If what is there already is damaged, or another holds it.
         """
-        size = path.stat().st_size if path.exists() else 0
-        end = 0
-        if size:
-            for _, offset in scan(path):
-                end = offset
         self._path = path
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         self._flush = durability == "power"
+        self._descriptor = hold(path, create=True) if held is None else held
+        if end is None:
+            end = 0
+            try:
+                for _, offset in scan(path):
+                    end = offset
+            except JournalError:
+                self.close()
+                raise
         os.ftruncate(self._descriptor, end)
         os.lseek(self._descriptor, end, os.SEEK_SET)
         if not end:
             os.write(self._descriptor, MAGIC)
 
+    @property
+    def end(self) -> int:
+        """Offset behind the last record."""
+        return os.lseek(self._descriptor, 0, os.SEEK_CUR)
+
     def append(self, record: AnyRecord) -> None:
         """Write one record; when this returns it is as durable as was asked for."""
-        body = encode(record)
-        sums = _SUMS.pack(len(body), crc32(body))
-        record_bytes = sums + crc32(sums).to_bytes(4, "little") + body
-        if os.write(self._descriptor, record_bytes) != len(record_bytes):
+        record_bytes = framed(encode(record))
+        try:
+            written = os.write(self._descriptor, record_bytes)
+        except OSError as error:
+            raise JournalError(f"{self._path}: {error.strerror}; is the disk full?") from None
+        if written != len(record_bytes):
             # Nothing may follow half a record: as it is the last, a reader drops it.
             raise JournalError(f"{self._path}: the disk took half a record; is it full?")
         if self._flush:
@@ -186,10 +239,14 @@ class Journal:
             self._descriptor = -1
 
 
-def scan(path: Path) -> Iterator[tuple[AnyRecord, int]]:
+def scan(path: Path, start: int = 0) -> Iterator[tuple[AnyRecord, int]]:
     """Read a journal: each record, and the offset behind it.
 
     A record that a crash cut short at the very end is left out.
+
+    Args:
+        path: the file.
+        start: offset behind the last record that is not asked for; 0: begin with the first.
 
     Raises:
         JournalError: If the file is no journal or a record is damaged.
@@ -205,19 +262,29 @@ def scan(path: Path) -> Iterator[tuple[AnyRecord, int]]:
             if MAGIC.startswith(magic):  # a crash at birth
                 return
             raise JournalError(f"{path}: offset 0: no Canopy journal of this version")
-        offset = len(MAGIC)
-        while len(header := file.read(_HEADER.size)) == _HEADER.size:
-            length, body_sum, header_sum = _HEADER.unpack(header)
-            if crc32(header[:8]) != header_sum:
-                raise JournalError(f"{path}: offset {offset}: damaged header of a record")
-            body = file.read(length)
-            if len(body) < length:
-                return
-            if crc32(body) != body_sum:
-                raise JournalError(f"{path}: offset {offset}: damaged record of {length} bytes")
+        behind = max(start, len(MAGIC))
+        file.seek(behind)
+        for body, end in read_records(file, path, behind):
             try:
                 record = decode(body)
             except MessageError as error:
-                raise JournalError(f"{path}: offset {offset}: {error}") from None
-            offset += _HEADER.size + length
-            yield record, offset
+                raise JournalError(f"{path}: offset {behind}: {error}") from None
+            behind = end
+            yield record, end
+
+
+def checksum(path: Path, start: int, end: int, before: int = 0) -> int | None:
+    """Return the CRC-32 of the bytes of a file from ``start`` to ``end``.
+
+    It goes on from ``before``, that of the bytes up to ``start``. ``None``: there are not so many.
+    """
+    found = before
+    with path.open("rb") as file:
+        file.seek(start)
+        while start < end:
+            part = file.read(min(_READ_BYTES, end - start))
+            if not part:
+                return None
+            found = crc32(part, found)
+            start += len(part)
+    return found

@@ -93,18 +93,22 @@ def radio_of(scenario: Scenario, terrain: Terrain) -> Radio:
 
 
 class Ether:
-    """What becomes of messages on their way: how many copies arrive, drawn from the seed."""
+    """What becomes of messages on their way: how many copies arrive, drawn from the seed.
+
+    Attributes:
+        stream: what it draws from.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self._loss = scenario.radio.loss
         self._duplicate = scenario.radio.duplicate
-        self._stream = spawn(scenario.seed, "radio")
+        self.stream = spawn(scenario.seed, "radio")
 
     def copies(self) -> int:
         """Return how many copies of the next message its next hearer gets: 0, 1 or 2."""
-        if self._stream.random() < self._loss:
+        if self.stream.random() < self._loss:
             return 0
-        return 2 if self._stream.random() < self._duplicate else 1
+        return 2 if self.stream.random() < self._duplicate else 1
 
 
 def ether_of(scenario: Scenario) -> Ether | None:

@@ -15,6 +15,7 @@ from typing import Protocol
 from protocol.grid import STEPS
 from protocol.scenario import Scenario
 from protocol.seeds import spawn
+from world_server.state import SteeringState, put_back, states_of
 from world_server.terrain import GridTerrain, Terrain, Way
 
 
@@ -46,7 +47,8 @@ class Steering:
         self._leave = terrain.leave
         self._blocks = scenario.world.bodies == "block"
         self._drift, self._reset = scenario.sensing.drift, scenario.sensing.reset
-        self._streams = [spawn(scenario.seed, "drift", robot) for robot in range(len(starts))]
+        drawn = range(len(starts)) if self._drift else ()
+        self._streams = [spawn(scenario.seed, "drift", robot) for robot in drawn]
         self._errors = [(0.0, 0.0)] * len(starts)
         self._bodies_at: dict[int, int] = {}
         adds_up = scenario.sensing.position == "odometry"
@@ -85,6 +87,20 @@ class Steering:
         """Let a body that was on its way be lost: it lies where it left from."""
         if body.destination[0] != body.place:
             self._yield(body.destination[0])
+
+    def state(self) -> SteeringState:
+        """Return what determines how it goes on."""
+        believed = None if self.believed is None else list(self.believed)
+        streams = states_of(self._streams)
+        return SteeringState(list(self._errors), dict(self._bodies_at), believed, streams)
+
+    def restore(self, state: SteeringState) -> None:
+        """Go on as another did of which this was the state."""
+        self._errors = list(state.errors)
+        self._bodies_at = dict(state.bodies_at)
+        if self.believed is not None and state.believed is not None:
+            self.believed[:] = state.believed  # in place: the world holds it too
+        put_back(self._streams, state.streams)
 
     def _slip(self, robot: int, meant: int) -> int:
         """Draw the error of a move; return the sub-cell that it ends in."""

@@ -6,6 +6,7 @@ the scenario and of the inputs, which is what the journal keeps.
     output                      input
     Wave      whose turn it is  the request of each, and the robots that were lost meanwhile
     KillOrder a scheduled kill  nothing; given once the robot is dead
+    FaultOrder another fault    nothing; given once somebody has taken it down
     TagsWanted                  the tags that an earlier run left at these places
     End                         (none)
 
@@ -44,6 +45,7 @@ from protocol.errors import (
     RuleError,
     TagError,
 )
+from protocol.faults import TAG_WORDS, Fault
 from protocol.messages import (
     AnyRequest,
     AnySight,
@@ -62,10 +64,12 @@ from protocol.messages import (
     WaitForNews,
 )
 from protocol.scenario import Scenario
-from protocol.trace import Event, LossCause, Observer
+from protocol.seeds import spawn
+from protocol.trace import DEVICE_FAULTS, NOBODY, Event, LossCause, Observer
 from world_server.clock import Agenda, clock_of
 from world_server.radio import Ether, ether_of, in_reach, radio_of
 from world_server.sensing import in_sub_cells
+from world_server.state import BodyState, WorldState, put_back, put_tags_back, states_of, tags_state
 from world_server.steering import steering_of
 from world_server.terrain import GridTerrain, Terrain
 
@@ -95,6 +99,12 @@ class KillOrder(Struct, frozen=True):
     robot: int
 
 
+class FaultOrder(Struct, frozen=True):
+    """Fault number ``fault`` of the scenario is due; it changes nothing in the world itself."""
+
+    fault: int
+
+
 class TagsWanted(Struct, frozen=True):
     """Places that this run has not seen before and whose old tags are needed now."""
 
@@ -107,7 +117,7 @@ class End(Struct, frozen=True):
     status: Literal["over", "stalled"]
 
 
-Output = Wave | KillOrder | TagsWanted | End
+Output = Wave | KillOrder | FaultOrder | TagsWanted | End
 
 
 class Answers(Struct, frozen=True, gc=False):
@@ -125,6 +135,9 @@ class Answers(Struct, frozen=True, gc=False):
 
 Input = Answers | tuple[TagWrite, ...] | None
 
+
+CORRUPT_BITS_MAX = 4
+"""A tag is corrupted in so many bits at most."""
 
 UNKNOWN_PLACE = -1
 """The place that a robot which must add up its own moves is told."""
@@ -181,6 +194,32 @@ class Body:
         self.lost_at: float | None = None
         self.stopped_at: float | None = None
 
+    def as_state(self) -> BodyState:
+        """Return what determines how it goes on."""
+        return BodyState(
+            self.place,
+            self.entry,
+            self.gaze,
+            self.state,
+            self.destination,
+            self.due,
+            self.sight,
+            self.requests,
+            tuple(self.inbox),
+            tuple(self.losses),
+            self.lost_at,
+            self.stopped_at,
+        )
+
+    def restore(self, state: BodyState) -> None:
+        """Go on as another did of which this was the state."""
+        self.place, self.entry, self.gaze = state.place, state.entry, state.gaze
+        self.state, self.destination, self.due = state.state, state.destination, state.due
+        self.sight, self.requests = state.sight, state.requests
+        self.inbox, self.losses = list(state.inbox), list(state.losses)
+        self.has_news = bool(self.inbox or self.losses)
+        self.lost_at, self.stopped_at = state.lost_at, state.stopped_at
+
     @property
     def left_at(self) -> float:
         """When it left its place; infinite while it stands there."""
@@ -196,7 +235,10 @@ class World:
         tags: the tag of each place.
         revisions: how often each tag was written.
         refusals: what each robot that broke a rule was told.
-        struck: numbers of the scheduled faults that have struck.
+        struck: numbers of the scheduled faults that were due; not of a kill of a robot that was lost
+            or had stopped before.
+        struck_at: when each of these was due.
+        on_write: as of the constructor.
     """
 
     def __init__(
@@ -223,6 +265,7 @@ class World:
         self.revisions = [0] * len(terrain)
         self.refusals: dict[int, Refusal] = {}
         self.struck: list[int] = []
+        self.struck_at: list[float] = []
         self._scenario = scenario
         self._terrain = terrain
         self._starts = tuple(starts)
@@ -232,8 +275,8 @@ class World:
         self._steering = steering_of(scenario, terrain, self._starts)
         self._believed = None if self._steering is None else self._steering.believed
         self._observe = observe
-        self._on_write = on_write
-        clock = clock_of(scenario, terrain.length)
+        self.on_write = on_write
+        self._clock = clock = clock_of(scenario, terrain.length)
         self._tick = clock.tick
         self._move_duration = clock.move_duration
         self._wait_duration = clock.wait_duration
@@ -257,14 +300,15 @@ class World:
         timed = [(fault.at, index, fault) for index, fault in numbered if fault.at is not None]
         self._faults = [(at, fault.round, index, fault) for at, index, fault in timed]
         self._faults.sort(key=lambda fault: fault[:3], reverse=True)
-        self._at_request = {
-            (fault.robot, fault.at_request): index
-            for index, fault in reversed(numbered)
-            if fault.at_request is not None
-        }
+        self._at_request: dict[tuple[int, int], list[int]] = {}
+        for index, fault in numbered:
+            if fault.trigger is not None:
+                self._at_request.setdefault(fault.trigger, []).append(index)
+        self._destroyed: set[int] = set()  # places whose device is no more
         self._visited: set[int] = set()
         self._moves = 0
-        self._play = self._run()
+        self._when_quiet: Callable[[WorldState], None] | None = None
+        self._play = self._run(begun=False)
 
     # Inputs and outputs.
 
@@ -300,6 +344,7 @@ class World:
                 scenario.world.bodies == "block",
             ),
             terrain.position(self._starts[robot]) if on_grid else None,
+            any(fault.word in TAG_WORDS for fault in scenario.faults),
             nonce,
         )
 
@@ -321,11 +366,82 @@ class World:
         """Return the robots that wait for news, and the place of each."""
         return [(body.robot, body.place) for body in self.bodies if body.state == WAITING_FOR_NEWS]
 
+    # The state between two instants.
+
+    def when_quiet(self, take: Callable[[WorldState], None]) -> None:
+        """Have ``take`` called with the state once the present instant is over: nobody is in turn."""
+        self._when_quiet = take
+
+    def state(self) -> WorldState:
+        """Return what determines the future, between two instants."""
+        agenda, resting = self._agenda.planned(), self._resting.items()
+        return WorldState(
+            self.time,
+            [body.as_state() for body in self.bodies],
+            tags_state(self.revisions, self.tags),
+            self._destroyed.copy(),
+            None if self._unseen is None else self._unseen.copy(),
+            self.refusals.copy(),
+            list(zip(self.struck, self.struck_at, strict=True)),
+            len(self._faults),
+            list(self._at_request),
+            [(time, [body.robot for body in bodies]) for time, bodies in agenda],
+            [
+                (time, [(body.robot, sender, message) for body, sender, message in heard])
+                for time, heard in self._in_air.planned()
+            ],
+            {place: [body.robot for body in bodies] for place, bodies in resting},
+            self._visited.copy(),
+            self._moves,
+            states_of(self._clock.streams),
+            [] if self._ether is None else states_of([self._ether.stream]),
+            None if self._steering is None else self._steering.state(),
+        )
+
+    def restore(self, state: WorldState) -> None:
+        """Go on as another world of this scenario did from this state; in place of a beginning.
+
+        `begin` returns what came next there. Trace and writes up to here are not told again.
+        """
+        bodies = self.bodies
+        self.time = state.time
+        for body, was in zip(bodies, state.bodies, strict=True):
+            body.restore(was)
+        self._alive = sum(body.state < STOPPED for body in bodies)
+        put_tags_back(state.tags, self.revisions, self.tags)
+        self._destroyed = state.destroyed.copy()
+        self._unseen = None if state.unseen is None else state.unseen.copy()
+        self.refusals = state.refusals.copy()
+        self.struck = [fault for fault, _ in state.struck]
+        self.struck_at = [time for _, time in state.struck]
+        del self._faults[state.faults_left :]
+        self._at_request = {key: self._at_request[key] for key in state.at_request}
+        self._agenda = Agenda((time, [bodies[i] for i in robots]) for time, robots in state.agenda)
+        self._in_air = Agenda(
+            (time, [(bodies[robot], sender, message) for robot, sender, message in heard])
+            for time, heard in state.in_air
+        )
+        self._resting = {
+            place: [bodies[i] for i in robots] for place, robots in state.resting.items()
+        }
+        self._visited = state.visited.copy()
+        self._moves = state.moves
+        put_back(self._clock.streams, state.jitter)
+        if self._ether is not None:
+            put_back([self._ether.stream], state.ether)
+        if self._steering is not None and state.steering is not None:
+            self._steering.restore(state.steering)
+        self._play = self._run(begun=True)
+
     # One run.
 
-    def _run(self) -> Generator[Output, Input, None]:
-        yield from self._serve(self.bodies)
+    def _run(self, *, begun: bool) -> Generator[Output, Input, None]:
+        if not begun:
+            yield from self._serve(self.bodies)
         while self._alive:
+            if self._when_quiet is not None and not self._next:
+                take, self._when_quiet = self._when_quiet, None
+                take(self.state())
             if not self._next and not self._advance():
                 yield End("stalled")
                 return
@@ -429,13 +545,61 @@ class World:
                 return
             self._faults.pop()
             self._wave = -1
+            yield from self._befall(index, fault)
+
+    def _befall(self, index: int, fault: Fault) -> Generator[Output, Input, None]:
+        """Carry out one fault, or have it carried out."""
+        if fault.robot is not None and self._scenario.team.on_crash == "lost":
             yield from self._kill(index, self.bodies[fault.robot])
+            return
+        self._note(index)
+        if fault.word not in TAG_WORDS:
+            yield FaultOrder(index)
+            return
+        place = fault.place
+        assert place is not None
+        if self._unseen and place in self._unseen:  # the store has to know what is gone
+            self._take_old_tags((yield TagsWanted((place,))))
+            self._unseen.discard(place)
+        self._fail_device(index, fault.word, place)
+
+    def _fail_device(self, index: int, word: str, place: int) -> None:
+        """Erase or corrupt the tag of a place, or destroy its device.
+
+        A device counts its writes apart from its tag, so a tag that was erased is blank and has a
+        revision; one that was destroyed has neither.
+        """
+        tag = self.tags[place]
+        if word == "corrupt_tag" and not self._scenario.device.checksum:
+            stream = spawn(self._scenario.seed, "corrupt", index)
+            bits = int.from_bytes(tag, "little")
+            for _ in range(stream.randint(1, CORRUPT_BITS_MAX) if tag else 0):
+                bits ^= 1 << stream.randrange(8 * len(tag))
+            tag = bits.to_bytes(len(tag), "little")
+        else:
+            tag = b""
+        if place not in self._destroyed:
+            self.tags[place] = tag
+            self.revisions[place] += 1
+            if self.on_write is not None:
+                self.on_write(place, self.revisions[place], tag)
+        if word == "destroy_tag":
+            self._destroyed.add(place)
+            self.revisions[place] = 0
+        if self._observe is not None:
+            what = DEVICE_FAULTS[word]
+            self._observe(Event(self.time, self._round, self._wave, NOBODY, place, None, what, 0))
+        self._wake(self._resting.get(place, ()))
 
     def _kill(self, fault: int, victim: Body) -> Generator[Output, Input, None]:
         if victim.state < STOPPED:
             yield KillOrder(fault, victim.robot)
-            self.struck.append(fault)
+            self._note(fault)
             self._lose(victim, "killed")
+
+    def _note(self, fault: int) -> None:
+        self.struck.append(fault)
+        self.struck_at.append(self.time)
 
     # One wave.
 
@@ -443,9 +607,8 @@ class World:
         """Give each robot of a wave its sight, and apply what they answer."""
         if self._at_request:
             for body in wave:
-                fault = self._at_request.get((body.robot, body.requests + 1))
-                if fault is not None:
-                    yield from self._kill(fault, body)
+                for index in self._at_request.pop((body.robot, body.requests + 1), ()):
+                    yield from self._befall(index, self._scenario.faults[index])
         if self._unseen:
             places = self._unseen.intersection(body.place for body in wave)
             if places:
@@ -524,8 +687,8 @@ class World:
         """
         time, observe, tick, leave = self.time, self._observe, self._tick, self._leave
         steering = self._steering
-        tags, revisions, on_write = self.tags, self.revisions, self._on_write
-        capacity, resting_at = self._capacity, self._resting
+        tags, revisions, on_write = self.tags, self.revisions, self.on_write
+        capacity, resting_at, destroyed = self._capacity, self._resting, self._destroyed
         due, agenda = -1.0, None
         for body, asked in zip(wave, requests, strict=True):
             if body.state != IN_TURN or asked is None:
@@ -558,6 +721,8 @@ class World:
                 digest = 0 if sight is None else crc32(encode(sight))
                 robot, entry = body.robot, body.entry
                 observe(Event(time, self._round, self._wave, robot, place, entry, request, digest))
+            if destroyed and place in destroyed:
+                tag = None  # whoever writes there cannot tell
             if tag is not None:
                 tags[place] = tag
                 revisions[place] += 1

@@ -18,10 +18,13 @@ the wave of its last write, and ignores numbers that it has passed. Hence:
 - *One batch in flight.* It is repeated, the same for ever, until it is acknowledged, and only then
   does the next leave. Repeats, lost and late acknowledgements do no harm, as a batch below the
   store's number is ignored, and an acknowledgement below the batch in flight is too.
-- *Restart of the world.* It replays its journal and notes all writes again; the store's number on
+- *Restart of the world.* It replays its journal and notes all writes again, or takes back from a
+  snapshot those that were not acknowledged then and notes the later ones; the store's number on
   hello tells which it has. The batches are cut differently then, which does not matter: each
   buffered write remembers the wave of the last write of its place, and those that the store has
   are dropped.
+- *A wave* is here whatever the world was given at once: the beginning, which is number 1, the answers
+  to a wave, old tags, or word that an order was carried out. `next_wave` counts them.
 
 The shell must have a wave in its journal before it calls `take`: a batch whose wave a restarted
 world does not know would make the store ignore the waves that come in its place (`resume`,
@@ -35,6 +38,7 @@ from collections import deque
 
 from protocol.errors import StoreError
 from protocol.messages import Batch, TagWrite
+from world_server.state import State
 
 _Writes = dict[int, tuple[int, int, bytes]]
 """By place: wave, revision and tag of the last write."""
@@ -49,18 +53,45 @@ _NO_WAVE = -1
 _AT_ONCE_S = 0.0
 
 
+class UnacknowledgedState(State, frozen=True):
+    """What the store has not acknowledged; the writes of a batch by place, as they are kept.
+
+    Attributes:
+        store_wave: how far the store was.
+        full: batches with their numbers, oldest first; that in flight is the first of them.
+        gathered: what makes the next one.
+        closed_wave: the last wave of those.
+        current: the writes of the wave that is being noted, ...
+        wave: ... and its number.
+        last_wave: number of what the world was given last.
+    """
+
+    store_wave: int
+    full: list[tuple[int, _Writes]]
+    gathered: _Writes
+    closed_wave: int
+    current: _Writes
+    wave: int
+    last_wave: int
+
+
 class WriteBehind:
     """Gathers the writes of the world and hands them out in batches, each until acknowledged.
 
     Give it every write, wave by wave, with `note`; call `take` once after each wave and whenever
     `due_s` has come. Nothing leaves before `resume` has told how far the store is.
+
+    Attributes:
+        incarnation: number of this life of the world server, which all batches carry.
+        known_wave: up to here the store has everything, and nothing of it is here.
+        last_wave: number of what the world was given last, as `next_wave` counts.
     """
 
-    def __init__(self, incarnation: int, writes_max: int = 256, delay_s: float = 0.05) -> None:
+    def __init__(self, incarnation: int = 0, writes_max: int = 256, delay_s: float = 0.05) -> None:
         """Begin with nothing noted.
 
         Args:
-            incarnation: number of this life of the world server; larger than that of any before.
+            incarnation: larger than that of any life before; it may be set until a batch is taken.
             writes_max: writes in a batch, and how many gathered writes make one due.
             delay_s: how long a write waits at most for others while nothing is in flight.
 
@@ -71,7 +102,9 @@ class WriteBehind:
             raise ValueError(
                 f"writes_max {writes_max}, delay_s {delay_s}; expected at least 1 and at least 0"
             )
-        self._incarnation = incarnation
+        self.incarnation = incarnation
+        self.known_wave = 0
+        self.last_wave = 0
         self._writes_max = writes_max
         self._delay_s = delay_s
         # The buffer, oldest first: batches that are full, with their numbers; the writes of closed
@@ -104,6 +137,14 @@ class WriteBehind:
         if wave != self._wave:
             self._begin(wave)
         self._current[place] = (wave, revision, tag)
+
+    def next_wave(self) -> None:
+        """Count one more thing that the world is given."""
+        self.last_wave += 1
+
+    def written(self, place: int, revision: int, tag: bytes) -> None:
+        """Note a write of the wave that was counted last."""
+        self.note(self.last_wave, place, revision, tag)
 
     def take(self, now_s: float) -> Batch | None:
         """Close the wave, and give the next batch if it is due.
@@ -138,9 +179,10 @@ class WriteBehind:
         if not self._full and not self._gathered:
             self._flushing = False
         self._in_flight = Batch(
-            self._incarnation,
+            self.incarnation,
             wave,
             tuple([TagWrite(place, revision, tag) for place, (_, revision, tag) in writes.items()]),
+            self.known_wave,
         )
         self._repeat_s = REPEAT_S
         self._repeat_due_s = now_s + REPEAT_S
@@ -200,7 +242,7 @@ class WriteBehind:
                 )
             return
         self._in_flight = None
-        self._store_wave = wave
+        self._store_wave = self.known_wave = wave
 
     @property
     def idle(self) -> bool:
@@ -219,8 +261,8 @@ class WriteBehind:
                 to the last hello counts; the shell ignores any that come late.
 
         Raises:
-            StoreError: If the store is ahead of everything noted here, or behind what it
-                acknowledged: journal and store do not belong together, or one lost its end.
+            StoreError: If the store is ahead of everything noted here, or behind ``known_wave``:
+                journal and store do not belong together, or one lost its end.
         """
         if self._current:
             self._close()
@@ -229,12 +271,12 @@ class WriteBehind:
                 f"the store is at wave {store_wave}, the journal writes only up to wave "
                 f"{self._closed_wave}: the journal has lost its end, or belongs to another run"
             )
-        if self._store_wave is not None and store_wave < self._store_wave:
+        if store_wave < self.known_wave:
             raise StoreError(
-                f"the store is at wave {store_wave}, but acknowledged wave {self._store_wave}: it "
+                f"the store is at wave {store_wave}, but acknowledged wave {self.known_wave}: it "
                 "has lost its end, or is another"
             )
-        self._store_wave = store_wave
+        self._store_wave = self.known_wave = store_wave
         if self._in_flight is not None and self._in_flight.wave <= store_wave:
             self._in_flight = None
         kept = ((wave, _after(store_wave, writes)) for wave, writes in self._full)
@@ -244,6 +286,31 @@ class WriteBehind:
             self._since_s = None
         if self._is_empty():
             self._flushing = False
+
+    def state(self) -> UnacknowledgedState:
+        """Return what the store has not acknowledged."""
+        full = [(wave, writes.copy()) for wave, writes in self._full]
+        batch = self._in_flight
+        if batch is not None:
+            # It is applied as a whole or not at all, so the number of its last wave does for all.
+            writes = {one.place: (batch.wave, one.revision, one.tag) for one in batch.writes}
+            full.insert(0, (batch.wave, writes))
+        return UnacknowledgedState(
+            self.known_wave,
+            full,
+            self._gathered.copy(),
+            self._closed_wave,
+            self._current.copy(),
+            self._wave,
+            self.last_wave,
+        )
+
+    def restore(self, state: UnacknowledgedState) -> None:
+        """Begin with what the store had not acknowledged in an earlier life; `resume` follows."""
+        self.known_wave, self.last_wave = state.store_wave, state.last_wave
+        self._full = deque((wave, writes.copy()) for wave, writes in state.full)
+        self._gathered, self._current = state.gathered.copy(), state.current.copy()
+        self._closed_wave, self._wave = state.closed_wave, state.wave
 
     def _begin(self, wave: int) -> None:
         """Close the wave being noted and begin a later one."""

@@ -26,16 +26,53 @@ Departures from the paper, in the default ``variant = "corrected"`` (``"paper"``
 - Where losses are not heard everywhere (``heartbeat = "reach"``) a robot cannot know who is alive.
   It waits as long as the run has taken so far and then takes the absent for lost. A late comer that
   finds marks of a newer epoch walks home by its entries, without a mark, and joins there.
+- Where devices may fail (``Briefing.devices_fail``): see below.
+
+Failing devices. The paper warns of them (Sec. VI): marks that vanish can keep robots from coming to an
+end, wrong marks can hide places. Where they may happen, each robot also remembers by which ports it
+came to each vertex in this epoch, and takes these for closed whatever the device holds. What cannot
+be a tag reads as blank, in both variants. Then, whatever becomes of tags, in both versions:
+
+- It ends. Lemma 1 needs no marks but a robot's own: it chooses a port only if it never came in by it,
+  and not again before it has come back by it; else it leaves by a port only to bounce, or at last by
+  the entry that it remembers. So an epoch takes it at most 2e moves.
+- As long as no mark is wrong (marks may vanish; a corrupted tag that its device notices reads as
+  blank), every port that reads as closed is one by which some robot came in this epoch. So a vertex
+  that a robot has left for the last time has all its edges traversed, and if all that took part in an
+  epoch come to its end, their vertices make up the whole graph. On trees this holds even of those that
+  were lost: a port of a child was closed by a robot that had seen all ports of the child closed.
+
+Epochs need more, as the device at the start may forget their number, or wake nobody any more: a robot
+that waits there would not learn that the others are back or have begun anew (with remembered marks
+alone, runs stall), and an epoch that is begun late could share its number with marks of the lost. So
+here an epoch's number is *how many losses are known* at its beginning, which all know alike, as losses
+are heard everywhere. Whoever is at the start and knows of more begins anew at once, and who meets marks
+of a newer epoch goes home. A robot stops when its epoch is over, nobody was lost since, and all the
+living stand at the start. Those that were ever in this epoch are then alive, as they began it after the
+last loss, and through with it: so all is traversed. There are at most as many epochs as losses and one.
+At a start whose device was destroyed a robot looks up as often as its moves take.
+
+Where losses are not heard everywhere, or tags of an earlier team lie about, no number is safe. Then
+each robot relies on the marks of its own alone; those of others only tell it where to go last. So it
+traverses all by itself, in one epoch and at most 2e moves.
+
+Wrong marks that no checksum catches can still hide places. The printed variant has nothing of this, but
+that it reads as blank what cannot be a tag. It may make more than 2e moves, go on as long as marks are
+erased, and for ever around a device that was destroyed; in the tree version a lost or wrong entry may
+have a robot stop away from the start.
 """
 
+from collections.abc import Coroutine, Generator
 from functools import lru_cache
 from math import ceil
-from typing import Literal
+from types import coroutine
+from typing import Any, Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from agents.body import Body
-from protocol.messages import Sight
+from protocol.messages import AnyRequest, Move, Sight
 
 Ports = dict[int, int | None]
 """A port of each vertex that a robot remembers."""
@@ -266,8 +303,16 @@ class RollCall:
         return here
 
 
-async def go_home(body: Body, entry: Ports, here: Sight, roll: RollCall) -> Sight:
-    """Walk back along the entries without a mark; from an unknown vertex by where it came from."""
+async def go_home(body: Body, entry: Ports, open_: Ports, here: Sight, roll: RollCall) -> Sight:
+    """Walk back along the entries without a mark; from an unknown vertex by where it came from.
+
+    Where devices may fail others begin anew without waiting for it, so that it may meet their marks at
+    a vertex that it has left by its entry before: there it bounces first, to keep to Lemma 1.
+    """
+    place, port = here.place, here.entry
+    off_path = entry.get(place) is not None and open_.get(place, port) != port
+    if body.briefing.devices_fail and off_path and port is not None:
+        here = await body.move(port)
     while (exit_ := entry.get(here.place, here.entry)) is not None:
         here = await body.move(exit_)
         if here.losses:
@@ -294,7 +339,7 @@ async def explore(
         found, tag = recorded(here.tag, port, epoch, layout)
         if found > epoch:
             roll.fresh_loss = False  # what is lost from now on is lost in the newer epoch
-            return await go_home(body, entry, here, roll), found
+            return await go_home(body, entry, open_, here, roll), found
         first = place not in entry
         if first:
             entry[place] = port  # Alg. 1 l. 7
@@ -326,6 +371,10 @@ async def explore(
 
 async def mr_dfs(body: Body, options: Options) -> None:
     """Explore, and return to the start."""
+    if body.briefing.devices_fail:
+        reading = Reading(body, options)
+        await through(reading, explore_warily(body, options, reading))
+        return
     here: Sight = await body.look()
     layout = layout_of(here.degree, body.team_size, options.version == "tree")
     epoch = unpack(here.tag, layout).epoch
@@ -344,3 +393,165 @@ async def mr_dfs(body: Body, options: Options) -> None:
                 newest += 1
             roll.fresh_loss = False
         epoch = epoch_on(here, newest, body.team_size)
+
+
+# The robot where devices may fail.
+
+
+@lru_cache(maxsize=4096)
+def legible(data: bytes, layout: Layout) -> Tag | None:
+    """Decode what may be a wrong tag; ``None`` if the bytes cannot be a tag."""
+    try:
+        tag = unpack(data, layout)
+    except ValueError:
+        return None
+    marks = tag.marks
+    for _ in range(layout.degree):
+        if layout.team_size < marks & layout.closed < layout.closed:
+            return None
+        marks >>= layout.width
+    return tag
+
+
+def reopen(marks: int, layout: Layout) -> int:
+    """Turn closed ports into such as all others have departed by: eligible, but the last choice."""
+    others = layout.team_size - 1
+    for shift in range(0, layout.degree * layout.width, layout.width):
+        excess = (marks >> shift & layout.closed) - others
+        if excess > 0:
+            marks -= excess << shift
+    return marks
+
+
+class Reading:
+    """How a robot reads devices that may fail: what it takes for their tags.
+
+    Attributes:
+        trust: ``"device"``: it takes a tag for what it is if it can be one, as the printed variant
+            does; ``"both"``: it believes the device and its own memory; ``"memory"``: it believes
+            that it came by the ports that it came by, and nothing else.
+        lost: the robots of whose loss it knows.
+        pace: the longest time that a move took it.
+    """
+
+    def __init__(self, body: Body, options: Options) -> None:
+        briefing = body.briefing
+        self._team_size = body.team_size
+        self._tree = options.version == "tree"
+        self.trust: Literal["device", "both", "memory"] = "memory"
+        if options.variant == "paper":
+            self.trust = "device"
+        elif self._tree or (briefing.heartbeat == "global" and briefing.blank_tags):
+            self.trust = "both"
+        self.lost: set[int] = set()
+        self.pace = 0.0
+        self._epoch = 0
+        self._closed: dict[int, int] = {}  # by place: the ports that it came by in this epoch
+        self._entry: dict[int, int | None] = {}
+        self._stored = 0  # the epoch on the device here
+
+    def begin(self, epoch: int, here: Sight) -> Sight:
+        """Begin an epoch at the start; return what is seen there now."""
+        self._epoch = epoch
+        self._closed.clear()
+        return self.read(here)
+
+    def arrive(self, here: Sight, left_at: float) -> Sight:
+        """Return what is seen at the end of a move, and remember the port that it came by."""
+        self.pace = max(self.pace, here.time - left_at)
+        layout = layout_of(here.degree, self._team_size, self._tree)
+        if here.entry is not None:
+            closed = self._closed.get(here.place, 0)
+            self._closed[here.place] = record(closed, here.entry, layout)
+        return self.read(here)
+
+    def read(self, here: Sight) -> Sight:
+        """Return what is seen, with the tag as this robot takes it."""
+        self.lost.update(here.losses)
+        layout = layout_of(here.degree, self._team_size, self._tree)
+        tag = legible(here.tag, layout)
+        if self.trust == "device":
+            return here if tag is not None else replace(here, tag=b"")
+        tag = tag or BLANK
+        marks = tag.marks
+        self._stored = tag.epoch
+        if self.trust == "memory":
+            marks = reopen(marks, layout)
+        elif self._epoch < tag.epoch <= len(self.lost) and not self._tree:
+            return here  # others have begun anew
+        elif tag.epoch != self._epoch:
+            marks = 0
+        marks |= self._closed.get(here.place, 0)
+        entry = self._entry.setdefault(here.place, here.entry) if self._tree else None
+        return replace(here, tag=pack(Tag(marks, entry, self._epoch), layout))
+
+    def put(self, request: AnyRequest, here: Sight) -> AnyRequest:
+        """Return a request as it is made: a device keeps the newest epoch that it ever was in."""
+        if self.trust != "memory" or request.tag is None or not self._stored:
+            return request
+        layout = layout_of(here.degree, self._team_size, self._tree)
+        marks = unpack(request.tag, layout).marks
+        return replace(request, tag=pack(Tag(marks, None, self._stored), layout))
+
+
+@coroutine
+def through(
+    reading: Reading, doing: Coroutine[AnyRequest, Any, None]
+) -> Generator[AnyRequest, Any, None]:
+    """Do ``doing``, which sees all devices as ``reading`` has it."""
+    here: Sight = yield doing.send(None)
+    sight = reading.read(here)
+    while True:
+        try:
+            request = doing.send(sight)
+        except StopIteration:
+            return
+        left_at = here.time
+        here = yield reading.put(request, here)
+        moved = isinstance(request, Move)
+        sight = reading.arrive(here, left_at) if moved else reading.read(here)
+
+
+async def last_call(body: Body, here: Sight, team: frozenset[int], reading: Reading) -> Sight:
+    """Wait at the start for the living of ``team``, or for a loss.
+
+    One that passes through is there in the first two rounds of an instant: so the roll must be full
+    three times running.
+    """
+    lost = len(reading.lost)
+    full = 0
+    while len(reading.lost) == lost:
+        full = full + 1 if team <= reading.lost.union(here.here) else 0
+        if full == 3:
+            break
+        if full:
+            here = await body.look()
+        elif here.revision:
+            here = await body.wait_for_news()
+        else:  # this device is no more: nobody can wake us
+            here = await body.wait_for_news(at_most=reading.pace or 1.0)
+    return here
+
+
+async def explore_warily(body: Body, options: Options, reading: Reading) -> None:
+    """Explore, and return to the start, where devices may fail.
+
+    Only those that set out from this start are awaited there.
+    """
+    here: Sight = await body.look()
+    roll = RollCall(body)  # of no use here: `reading` counts the losses
+    if reading.trust == "device":
+        layout = layout_of(here.degree, body.team_size, options.version == "tree")
+        await explore(body, here, unpack(here.tag, layout).epoch, options.version, roll)
+        return
+    if reading.trust == "memory" or options.version == "tree":
+        await explore(body, reading.begin(0, here), 0, options.version, roll)
+        return
+    team = frozenset(here.here)
+    while True:
+        epoch = len(reading.lost)
+        here, _ = await explore(body, reading.begin(epoch, here), epoch, options.version, roll)
+        if len(reading.lost) == epoch:
+            here = await last_call(body, here, team, reading)
+        if len(reading.lost) == epoch:
+            return

@@ -6,7 +6,8 @@ Both kinds of place are given as tables of *darts*. A dart is an exit of a place
 all exits of all places. The tables say where it leads, and the entry there.
 
 What a robot cannot do (`BaseLedger.violations`): be where it has not walked to, take a port that is
-not there, arrive before or after its time, act out of turn, or act after it stopped or was lost.
+not there, arrive before or after its time, act out of turn, or act after it stopped or was lost. Nor
+does a device fail but when the scenario has it fail (`BaseLedger.tag_faults`).
 
 A robot that asked to move has moved if and only if its next event is where the dart leads. It arrived
 at the time of that event: arrivals act in the instant in which they arrive, and that holds for a robot
@@ -21,9 +22,10 @@ from typing import ClassVar, Protocol
 
 from msgspec import Struct
 
+from protocol.faults import TAG_WORDS, Fault
 from protocol.messages import Move, Stop, Wait, WaitForNews
 from protocol.scenario import Scenario
-from protocol.trace import Event
+from protocol.trace import DEVICE_FAULTS, NOBODY, Event
 
 ROUNDING = 1e-12
 """Relative slack for a move with jitter: the bounds of the jitter are rounded, like its draws."""
@@ -119,6 +121,8 @@ class BaseLedger(ABC):
         first_visits: for each visited place the robot that came first, and when.
         coverage_time: time of the last first visit.
         device_bytes_max: size of the largest tag that was written.
+        tag_faults: each failure of a device: when, at which place, and what became of it.
+        checksums: whether devices notice that their tag was corrupted.
         last_time: time of the last event.
         violations: number of things that cannot be.
         first_violation: the first of them, in words.
@@ -132,10 +136,14 @@ class BaseLedger(ABC):
         "_jitter_high",
         "_jitter_low",
         "_last",
+        "_may_be",
         "_round",
+        "_scheduled",
+        "_taken_for",
         "_team",
         "_turn",
         "_wave",
+        "checksums",
         "coverage_time",
         "device_bytes_max",
         "first_violation",
@@ -143,6 +151,7 @@ class BaseLedger(ABC):
         "last_time",
         "robots",
         "starts",
+        "tag_faults",
         "violations",
     )
 
@@ -163,8 +172,8 @@ class BaseLedger(ABC):
 
         Args:
             starts: start place of each robot.
-            scenario: what is played; ``None``: the duration of moves and the size of tags are not
-                checked.
+            scenario: what is played; ``None``: the duration of moves, the size of tags and the
+                failures of devices are not checked.
             first_dart: the first dart of each place, and one number more.
             far: where each dart leads.
             back: by which port one arrives there.
@@ -183,6 +192,14 @@ class BaseLedger(ABC):
             self.first_visits.setdefault(start, (robot, 0.0))
         self.coverage_time = 0.0
         self.device_bytes_max = 0
+        self.tag_faults: list[tuple[float, int, str]] = []
+        self.checksums = scenario is None or scenario.device.checksum
+        # Which scheduled failure each one may be, and which it is taken for, by their numbers.
+        self._scheduled: list[Fault] | None = None
+        if scenario is not None:
+            self._scheduled = [fault for fault in scenario.faults if fault.word in TAG_WORDS]
+        self._may_be: list[list[int]] = []
+        self._taken_for: dict[int, int] = {}
         self.violations = 0
         self.first_violation: str | None = None
         # The wave of the last event, and the last robot in it that made a request.
@@ -215,6 +232,9 @@ class BaseLedger(ABC):
         what = event.what
         if event.wave != self._wave or time != self.last_time or event.round != self._round:
             self._open_wave(event, time)
+        if robot == NOBODY and type(what) is str:
+            self._fail_device(event)
+            return
         if not 0 <= robot < self._team:
             self._violation(event, f"there are robots 0 to {self._team - 1}")
             return
@@ -313,6 +333,47 @@ class BaseLedger(ABC):
         track.latest = -inf
         track.loss = Loss(time, cause, place, dart)
 
+    def _fail_device(self, event: Event) -> None:
+        place, what = event.place, event.what
+        if place is None or not 0 <= place < len(self._first_dart) - 1:
+            self._violation(event, "there is no such device")
+            return
+        self.tag_faults.append((event.time, place, str(what)))
+        if self._last >= 0:
+            self._violation(event, "devices fail before the requests of their wave")
+        if self._scheduled is None:
+            return
+        faults = enumerate(self._scheduled)
+        self._may_be.append([index for index, fault in faults if self._is_due(fault, event)])
+        if not self._take(len(self._may_be) - 1, set()):
+            self._may_be.pop()
+            self._violation(event, "the scenario has no such fault")
+
+    def _take(self, number: int, seen: set[int]) -> bool:
+        """Take failure ``number`` for a scheduled one of its own; others may have to be another."""
+        for index in self._may_be[number]:
+            if index not in seen:
+                seen.add(index)
+                other = self._taken_for.get(index)
+                if other is None or self._take(other, seen):
+                    self._taken_for[index] = number
+                    return True
+        return False
+
+    def _is_due(self, fault: Fault, event: Event) -> bool:
+        """Tell whether a scheduled fault strikes as ``event`` has it.
+
+        A fault of a round that its instant does not have strikes after the last one.
+        """
+        if fault.place != event.place or DEVICE_FAULTS[fault.word] != event.what:
+            return False
+        if fault.trigger is None:
+            return fault.at == event.time and event.wave == -1 and event.round <= fault.round
+        robot, number = fault.trigger
+        track = self.robots[robot]
+        early = track.alive and event.time < track.earliest
+        return track.requests + 1 == number and event.wave >= 0 and not early
+
     # What cannot be.
 
     def _mend(self, event: Event, track: Track) -> bool:
@@ -376,8 +437,14 @@ class BaseLedger(ABC):
 
     @property
     def events(self) -> int:
-        """Requests that were applied, and losses."""
-        return sum(track.requests + (track.loss is not None) for track in self.robots)
+        """Requests that were applied, losses, and failures of devices."""
+        lost = sum(track.loss is not None for track in self.robots)
+        return sum(track.requests for track in self.robots) + lost + len(self.tag_faults)
+
+    @property
+    def wrong_tags(self) -> bool:
+        """Whether a tag was corrupted and its device did not notice."""
+        return not self.checksums and any(what == "corrupted" for _, _, what in self.tag_faults)
 
     @property
     def makespan(self) -> float | None:

@@ -20,12 +20,18 @@ Departures:
   per robot hold, and on trees the bounds on the total excess. Bounds on T do not.
 - Where a loss is not heard everywhere (``heartbeat = "reach"``) the corrected variant has to guess
   who is alive, and may take more epochs than there are losses: that breaks no bound.
+- Where devices fail, the corrected variant believes what it remembers as well. It still covers all if
+  no wrong mark went unnoticed, and Lemma 1 and 2e moves hold in each epoch: they need no marks but a
+  robot's own. Bounds that come of sharing the work assume sound devices; of the printed variant, which
+  remembers no marks, nothing is said then (Sec. VI). Where devices may fail and, besides, not all hear
+  of losses or there are tags of an earlier run, each robot explores for itself, in one epoch.
 """
 
 from math import comb
 
-from deploy.verdict.guarantees import Guarantee, Status
+from deploy.verdict.guarantees import WRONG_TAGS, Guarantee, Status
 from deploy.verdict.ledger import Ledger, reachable
+from protocol.faults import TAG_WORDS
 from protocol.scenario import Scenario
 from protocol.trace import Observer
 
@@ -56,10 +62,12 @@ class Brass:
         self._lockstep = scenario.clock.mode == "lockstep"
         self._blank = scenario.bookkeeping.fresh
         self._tree_version = options.get("version", "graph") == "tree"
-        self._corrected = (
-            options.get("variant", "corrected") == "corrected" and not self._tree_version
-        )
-        self._guesses = self._corrected and scenario.radio.heartbeat == "reach"
+        self._remembers = options.get("variant", "corrected") == "corrected"
+        self._corrected = self._remembers and not self._tree_version
+        all_hear = scenario.radio.heartbeat == "global"
+        devices_fail = any(fault.word in TAG_WORDS for fault in scenario.faults)
+        self._for_itself = self._corrected and devices_fail and not (all_hear and self._blank)
+        self._guesses = self._corrected and not all_hear and not devices_fail
 
     def complete(self) -> bool:
         """Tell whether every edge was traversed."""
@@ -93,7 +101,12 @@ class Brass:
     # What stands in the way of a claim.
 
     def _outside(
-        self, *, lockstep: bool = False, tree: bool = False, lossless: bool = False
+        self,
+        *,
+        lockstep: bool = False,
+        tree: bool = False,
+        lossless: bool = False,
+        sound: bool = False,
     ) -> str | None:
         """Return why a claim with these assumptions says nothing about this run, if so."""
         if not self._one_start:
@@ -110,12 +123,23 @@ class Brass:
             return "robots were lost"
         if not self._ledger.survivors:
             return "no robot survived"
+        if sound and self._for_itself:
+            return (
+                "where devices may fail, and losses are not heard or tags are old, none shares work"
+            )
+        if sound or not self._remembers:
+            return self._devices_failed()
         return None
+
+    def _devices_failed(self) -> str | None:
+        """Return what the devices did, if one failed."""
+        failed = len(self._ledger.tag_faults)
+        return f"failures of devices: {failed}" if failed else None
 
     @property
     def _epochs_max(self) -> int:
         """How many epochs there can be: one, one more for each loss, and one for old tags."""
-        if not self._corrected:
+        if not self._corrected or self._for_itself:
             return 1
         return 1 + len(self._ledger.losses) + (not self._blank)
 
@@ -133,7 +157,7 @@ class Brass:
     def _every_edge(self) -> Finding:
         holds = self.complete()
         detail = f"{len(self._ledger.first_crossings)} of {self._e} edges traversed"
-        reason = self._outside()
+        reason = self._outside() or (WRONG_TAGS if self._ledger.wrong_tags else None)
         if not holds and reason is not None:
             return None, f"{detail}; {reason}"
         return holds, detail
@@ -149,7 +173,9 @@ class Brass:
             has = "has not stopped" if ledger.robots[robot].alive else "stopped"
             away.append(f"robot {robot} {has}, {where}")
         if away:
-            return False, "; ".join([*away, f"the run is {status}"])
+            failed = None if self._remembers else self._devices_failed()
+            reasons = [] if failed is None else [failed]
+            return None if failed else False, "; ".join([*away, f"the run is {status}", *reasons])
         return True, f"all {len(ledger.survivors)} stopped there"
 
     def _once_each_way(self) -> Finding:
@@ -164,7 +190,7 @@ class Brass:
         return self._unless_guessed(holds=times <= self._epochs_max, detail=detail)
 
     def _finish_together(self) -> Finding:
-        reason = self._outside(lockstep=True, tree=True, lossless=True)
+        reason = self._outside(lockstep=True, tree=True, lossless=True, sound=True)
         if self._one_start and not self._is_tree:
             reason = "only on trees: false on general graphs, see docs/findings.md"
         finishes = sorted(
@@ -187,7 +213,7 @@ class Brass:
             return UNFINISHED
         found: float = max(track.moves for track in self._ledger.robots)
         what = f"at most {found} moves a robot"
-        if self._lockstep:
+        if self._lockstep and not self._ledger.tag_faults:  # they may keep a robot that waits late
             found = self._makespan()
             what = f"T = {found:g}"
         limit = 2 * self._e
@@ -197,7 +223,7 @@ class Brass:
         )
 
     def _excess(self) -> Finding:
-        reason = self._outside(tree=True, lossless=True)
+        reason = self._outside(tree=True, lossless=True, sound=True)
         if reason is not None:
             return None, reason
         found, limit = self._ledger.excess, self._excess_max()
@@ -210,7 +236,7 @@ class Brass:
         return self._unless_guessed(holds=holds, detail=detail)
 
     def _tree_bound(self) -> Finding:
-        reason = self._outside(lockstep=True, tree=True, lossless=True)
+        reason = self._outside(lockstep=True, tree=True, lossless=True, sound=True)
         if reason is not None:
             return None, reason
         if self._ledger.alive:
@@ -221,7 +247,7 @@ class Brass:
         return found * self._k <= limit, f"T = {found:g}, allowed {limit / self._k:g}"
 
     def _two_robots(self) -> Finding:
-        reason = self._outside(lockstep=True, tree=True, lossless=True)
+        reason = self._outside(lockstep=True, tree=True, lossless=True, sound=True)
         if self._k != 2:
             reason = f"for two robots; the team has {self._k}"
         if reason is not None:
@@ -253,6 +279,8 @@ class Brass:
         detail += f"{len(self._ledger.first_crossings)} of {self._e} edges traversed"
         if self._ledger.alive:
             detail += "; robots have not finished"
+        if not self.complete() and self._ledger.wrong_tags:
+            return None, f"{detail}; {WRONG_TAGS}"
         return self.complete() and not self._ledger.alive, detail
 
     # What the claims are made of.

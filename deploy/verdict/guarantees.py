@@ -13,6 +13,10 @@ Status = Literal["over", "stalled", "unfinished"]
 """How far the run is: over, stalled, or cut off before its end (a replay up to some time)."""
 
 
+WRONG_TAGS = "a corrupted tag was not noticed (device.checksum), and wrong marks can hide places"
+"""Why nobody can promise that all is visited."""
+
+
 class Guarantee(Struct, frozen=True):
     """One claim, and whether this run kept it.
 
@@ -75,6 +79,8 @@ def covered(ledger: BaseLedger, coverage: Coverage, status: Status) -> Guarantee
         holds, detail = None, f"{detail}; no robot survived"
     elif not holds and status == "unfinished":
         holds, detail = None, f"{detail} so far"
+    elif not holds and ledger.wrong_tags:
+        holds, detail = None, f"{detail}; {WRONG_TAGS}"
     return Guarantee(f"every {ledger.unit} visited", "Canopy: what a run is for", holds, detail)
 
 
@@ -94,9 +100,12 @@ def physics(ledger: BaseLedger) -> Guarantee:
     """Judge whether the trace is possible at all.
 
     Every robot is where its moves took it, after as long as they take; it takes one turn a round;
-    events are in the order (time, round, wave, robot), and none follows a stop or a loss.
+    events are in the order (time, round, wave, robot), and none follows a stop or a loss. Devices fail
+    when the scenario has them fail.
     """
     detail = f"{ledger.events} events, all possible"
+    if ledger.tag_faults:
+        detail += f"; failures of devices, as scheduled: {len(ledger.tag_faults)}"
     if ledger.first_violation is not None:
         detail = f"{ledger.events} events, violations: {ledger.violations}, the first: "
         detail += ledger.first_violation

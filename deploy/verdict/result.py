@@ -14,10 +14,11 @@ from deploy.verdict.coverage import AnyLedger, coverage_of
 from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
+from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
 from protocol.messages import Refusal
-from protocol.scenario import Fault, Scenario
+from protocol.scenario import Scenario
 from protocol.trace import Observer
 
 TRACEBACK = "Traceback (most recent call last):"
@@ -59,6 +60,23 @@ class Waiting(Struct, frozen=True):
 
     robot: int
     place: PlaceName | None
+
+
+class FaultResult(Struct, frozen=True, kw_only=True):
+    """What became of one scheduled fault.
+
+    Attributes:
+        fault: what happens, to whom, and when, in words.
+        due: virtual time at which it was due; ``None`` if that never came.
+        struck_s: real seconds from the beginning of the run to the stroke; ``None`` if it did not
+            strike, or has no real time, being part of the trace or read from a journal.
+        went_on_s: real seconds from there to the next wave that was committed.
+    """
+
+    fault: str
+    due: float | None
+    struck_s: float | None = None
+    went_on_s: float | None = None
 
 
 class RobotError(Struct, frozen=True):
@@ -108,6 +126,7 @@ class Result(Struct, frozen=True, kw_only=True):
         per_robot: what became of each robot.
         stalled: who waited where, if the run stalled.
         errors: robots that ended loudly.
+        faults: what became of each scheduled fault, in the order of the scenario.
         faults_not_struck: scheduled faults that never struck.
         durability: what survives.
         wall_s: real time that it took.
@@ -139,6 +158,7 @@ class Result(Struct, frozen=True, kw_only=True):
     per_robot: list[RobotResult]
     stalled: list[Waiting]
     errors: list[RobotError]
+    faults: list[FaultResult]
     faults_not_struck: list[str]
     durability: Literal["process", "power"]
     wall_s: float
@@ -181,6 +201,8 @@ def judge(
     refusals: Mapping[int, Refusal] | None = None,
     failures: Mapping[int, str] | None = None,
     restarts: Mapping[str, int] | None = None,
+    due: Mapping[int, float] | None = None,
+    struck: Mapping[int, tuple[float, float | None]] | None = None,
 ) -> Result:
     """Judge a run that has ended.
 
@@ -196,6 +218,9 @@ def judge(
         refusals: what each robot that broke a rule was told.
         failures: for each robot whose algorithm failed the text of its traceback.
         restarts: of each infrastructure process.
+        due: when each fault that was due came, by its number; virtual time.
+        struck: for faults of processes and the network that struck, when, and how long it took until
+            the run went on; real seconds. ``None``: the engine has no such things, or this is a replay.
     """
     coverage, steps = coverage_of(scenario, ledger), ledger.steps
     traversed, to_traverse, visits_extra = None, None, None
@@ -233,7 +258,10 @@ def judge(
         per_robot=_robots(ledger, shares, status),
         stalled=[Waiting(robot, _name(ledger, robot)) for robot in waiting],
         errors=_errors(refusals or {}, failures or {}),
-        faults_not_struck=[] if status == "unfinished" else _not_struck(scenario.faults, ledger),
+        faults=_faults(scenario, due or {}, struck or {}),
+        faults_not_struck=(
+            [] if status == "unfinished" else _not_struck(scenario, ledger, due or {}, struck)
+        ),
         durability=scenario.durability,
         wall_s=wall_s,
         steps_per_s=steps / play_s if play_s > 0 else None,
@@ -306,27 +334,50 @@ def _last_words(text: str) -> tuple[str, str]:
     return error, " ".join(filter(None, map(str.strip, [message, *said[1:]])))
 
 
-def _not_struck(faults: Sequence[Fault], ledger: AnyLedger) -> list[str]:
-    """Name the scheduled faults that no loss in the trace goes back to.
+def _faults(
+    scenario: Scenario,
+    due: Mapping[int, float],
+    struck: Mapping[int, tuple[float, float | None]],
+) -> list[FaultResult]:
+    found = []
+    for number, fault in enumerate(scenario.faults):
+        at_s, went_on_s = struck.get(number, (None, None))
+        found.append(
+            FaultResult(fault=str(fault), due=due.get(number), struck_s=at_s, went_on_s=went_on_s)
+        )
+    return found
+
+
+def _not_struck(
+    scenario: Scenario,
+    ledger: AnyLedger,
+    due: Mapping[int, float],
+    struck: Mapping[int, tuple[float, float | None]] | None,
+) -> list[str]:
+    """Name the scheduled faults that never struck: no loss in the trace goes back to them.
 
     A robot is lost once: of several faults at the moment of its loss the first of the file struck.
+    Faults that are not in the trace struck if they were due, and if the nemesis, where there was one,
+    says so.
     """
     accounted: set[int] = set()
     missing = []
-    for fault in faults:
+    for number, fault in enumerate(scenario.faults):
         robot = fault.robot
+        if robot is None or scenario.team.on_crash == "restart":
+            nemesis = struck is not None and fault.word not in TAG_WORDS
+            if number not in due or (nemesis and struck is not None and number not in struck):
+                missing.append(str(fault))
+            continue
         track = ledger.robots[robot]
         loss = track.loss
-        struck = (
+        if (
             loss is not None
             and loss.cause == "killed"
             and robot not in accounted
             and (fault.at == loss.time or fault.at_request == track.requests + 1)
-        )
-        if struck:
+        ):
             accounted.add(robot)
-            continue
-        when = f"at request {fault.at_request}" if fault.at is None else f"at t={fault.at:g}"
-        when += f", round {fault.round}" if fault.round else ""
-        missing.append(f"kill {fault.kill} {when}")
+        else:
+            missing.append(str(fault))
     return missing

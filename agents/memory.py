@@ -1,0 +1,56 @@
+"""What a robot's process remembers beyond its death: who it was, and all that it was told.
+
+An algorithm is a pure function of its replies. So a process that was killed and started again takes
+its algorithm through the replies that it had, and goes on with the request that stood open; the world
+knows that by its number.
+
+The file holds records (`protocol.records`): the text by which the process joined, then each reply,
+written before the algorithm sees it.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from protocol.codec import decoder_of, encode
+from protocol.messages import AnySight
+from protocol.records import framed, read_records
+
+
+class Memory:
+    """The memory of one robot.
+
+    Attributes:
+        process: the text by which it joins.
+        sights: what it was told in its earlier lives, in order.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, new or of an earlier life, behind its last whole record.
+
+        Raises:
+            JournalError: If it is damaged.
+            MessageError: If a record is no reply.
+        """
+        decode: Any = decoder_of(AnySight)  # type: ignore[arg-type]  # a union is a type here
+        self.process = ""
+        self.sights: list[AnySight] = []
+        end = 0
+        if path.exists():
+            with path.open("rb") as file:
+                for body, offset in read_records(file, path, 0):
+                    if end:
+                        self.sights.append(decode(body))
+                    else:
+                        self.process = body.decode("ascii")
+                    end = offset
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        os.ftruncate(self._descriptor, end)
+        os.lseek(self._descriptor, end, os.SEEK_SET)
+        if not end:
+            self.process = os.urandom(8).hex()
+            os.write(self._descriptor, framed(self.process.encode("ascii")))
+
+    def keep(self, sight: AnySight) -> None:
+        """Remember one more reply; when this returns it survives kill -9."""
+        os.write(self._descriptor, framed(encode(sight)))
