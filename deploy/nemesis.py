@@ -10,7 +10,6 @@ import asyncio
 import os
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 
 from msgspec import Struct
@@ -79,12 +78,11 @@ class Nemesis:
         self._scenario = scenario
         self._run_dir = run_dir
         self._supervisor = supervisor
-        self._proxies = proxies
+        self._ways = {name: _Way(proxy) for name, proxy in proxies.items()}
         self._tell = tell
         self._say = say
         self._acts: set[asyncio.Task[None]] = set()
         self._frozen: set[str] = set()
-        self._meddled: Counter[str] = Counter()
         self._log_line(f"seed {scenario.seed}, {len(scenario.faults)} faults")
 
     # What the world says.
@@ -127,8 +125,8 @@ class Nemesis:
         await asyncio.gather(*self._acts, return_exceptions=True)
         for name in list(self._frozen):
             self._thaw(name)
-        for proxy in self._proxies.values():
-            proxy.heal()
+        for way in self._ways.values():
+            way.heal()
         self._log_line("all healed")
 
     def _log_line(self, line: str) -> None:
@@ -217,22 +215,44 @@ class Nemesis:
         self._supervisor.kill(name, signal.SIGCONT)
 
     async def _meddle(self, number: int, fault: Fault, rng: Stream) -> None:
-        """Cut some off, or slow them down; of several faults at once the last to end heals."""
-        names = proxied(fault, self._scenario.team.robots)
-        self._meddled.update(names)
-        for name in names:
-            if fault.word == "partition":
-                self._proxies[name].cut()
-            else:
-                stream = spawn(rng.getrandbits(32), "delay", name)
-                self._proxies[name].delay(fault.delay_s, fault.jitter_s, stream)
+        """Cut some off, or slow them down, for a while."""
+        ways = [self._ways[name] for name in proxied(fault, self._scenario.team.robots)]
+        for way in ways:
+            way.begin(number, fault, spawn(rng.getrandbits(32), "delay"))
         self._struck(number)
         await asyncio.sleep(fault.for_s)
-        self._meddled.subtract(names)
-        for name in names:
-            if not self._meddled[name]:
-                self._log_line(f"heal the way of {name}")
-                self._proxies[name].heal()
+        for way in ways:
+            way.end(number)
+        self._log_line(f"fault {number} is over")
+
+
+class _Way:
+    """A process's way to the router, and the faults that meddle with it now."""
+
+    def __init__(self, proxy: Proxy) -> None:
+        self._proxy = proxy
+        self._faults: dict[int, tuple[Fault, Stream]] = {}
+
+    def begin(self, number: int, fault: Fault, stream: Stream) -> None:
+        """Let one more fault meddle with it."""
+        self._faults[number] = fault, stream
+        if fault.word == "partition":
+            self._proxy.cut()
+        else:
+            self._proxy.delay(fault.delay_s, fault.jitter_s, stream)
+
+    def end(self, number: int) -> None:
+        """End one fault; the others go on."""
+        del self._faults[number]
+        if not any(fault.word == "partition" for fault, _ in self._faults.values()):
+            self._proxy.heal()  # which ends delays as well
+            for fault, stream in self._faults.values():
+                self._proxy.delay(fault.delay_s, fault.jitter_s, stream)
+
+    def heal(self) -> None:
+        """End all faults."""
+        self._faults.clear()
+        self._proxy.heal()
 
 
 def proxied(fault: Fault, robots: int) -> list[str]:
