@@ -80,6 +80,8 @@ async def play(
     run: str,
     show: Callable[[Progress], None],
     say: Callable[[str], None] = lambda _: None,
+    *,
+    snapshot_every: int | None = None,
 ) -> Played:
     """Play a run to its end.
 
@@ -89,6 +91,7 @@ async def play(
         run: name of the run, unlike that of any other.
         show: called now and then with how far the run is.
         say: called with each line that the user should see.
+        snapshot_every: requests between two snapshots of the world; default: as the world finds.
 
     Raises:
         MachineError: If the port is taken.
@@ -107,6 +110,7 @@ async def play(
     try:
         ports = {name: await proxy.open() for name, proxy in proxies.items()}
         launch = _Launch(setting, run_dir, run, port, ports, supervisor, passwords)
+        launch.snapshot_every = snapshot_every
         await launch.infrastructure()
         config = LinkConfig(
             run, port, credentials=Credentials("supervisor", passwords["supervisor"])
@@ -164,7 +168,13 @@ def _write_users(run_dir: RunDir, robots: int) -> dict[str, str]:
 
 
 class _Launch:
-    """How each process of a run is started."""
+    """How each process of a run is started.
+
+    Attributes:
+        snapshot_every: requests between two snapshots of the world; ``None``: as it finds.
+    """
+
+    snapshot_every: int | None = None
 
     def __init__(
         self,
@@ -207,11 +217,11 @@ class _Launch:
         if router == "separate":
             command = ["-m", "deploy.router", folder, *self._way("router"), *team]
             await start("router", command, restart="always")
-        await start(
-            "world",
-            ["-m", "world_server.node", folder, *self._way("world"), *team, "--router", router],
-            restart="always",
-        )
+        command = ["-m", "world_server.node", folder, *self._way("world"), *team]
+        command += ["--router", router]
+        if self.snapshot_every is not None:
+            command += ["--snapshot-every", str(self.snapshot_every)]
+        await start("world", command, restart="always")
         if scenario.device.capacity:
             database = scenario.bookkeeping.database or str(self._run_dir.database)
             keep = [] if scenario.bookkeeping.fresh else ["--keep-tags"]

@@ -141,7 +141,13 @@ def _play(scenario: Scenario, folder: Path, outcome: Outcome) -> None:
 
     async def bounded() -> processes.Played:
         async with asyncio.timeout(PATIENCE_S):
-            return await processes.play(setting, together, name, lambda _: None)
+            return await processes.play(
+                setting,
+                together,
+                name,
+                lambda _: None,
+                snapshot_every=spawn(scenario.seed, "snapshots").choice((None, 1, 7, 50)),
+            )
 
     try:
         played = asyncio.run(bounded())
