@@ -8,11 +8,13 @@ The file holds records (`protocol.records`): the text by which the process joine
 written before the algorithm sees it.
 """
 
+import fcntl
 import os
 from pathlib import Path
 from typing import Any
 
 from protocol.codec import decoder_of, encode
+from protocol.errors import JournalError
 from protocol.messages import AnySight
 from protocol.records import framed, read_records
 
@@ -29,28 +31,45 @@ class Memory:
         """Open the file, new or of an earlier life, behind its last whole record.
 
         Raises:
-            JournalError: If it is damaged.
+            JournalError: If it is damaged, or another process holds it.
             MessageError: If a record is no reply.
         """
-        decode: Any = decoder_of(AnySight)  # type: ignore[arg-type]  # a union is a type here
-        self.process = ""
-        self.sights: list[AnySight] = []
-        end = 0
-        if path.exists():
-            with path.open("rb") as file:
-                for body, offset in read_records(file, path, 0):
-                    if end:
-                        self.sights.append(decode(body))
-                    else:
-                        self.process = body.decode("ascii")
-                    end = offset
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        os.ftruncate(self._descriptor, end)
-        os.lseek(self._descriptor, end, os.SEEK_SET)
-        if not end:
-            self.process = os.urandom(8).hex()
-            os.write(self._descriptor, framed(self.process.encode("ascii")))
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._descriptor)
+            raise JournalError(f"{path}: another process of this robot is alive") from None
+        try:
+            self.process, self.sights, end = _read(path)
+            os.ftruncate(self._descriptor, end)
+            os.lseek(self._descriptor, end, os.SEEK_SET)
+            if not end:
+                self.process = os.urandom(8).hex()
+                os.write(self._descriptor, framed(self.process.encode("ascii")))
+        except BaseException:
+            self.close()
+            raise
 
     def keep(self, sight: AnySight) -> None:
         """Remember one more reply; when this returns it survives kill -9."""
         os.write(self._descriptor, framed(encode(sight)))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._descriptor)
+
+
+def _read(path: Path) -> tuple[str, list[AnySight], int]:
+    """Return the text of joining, all replies, and the offset behind the last whole record."""
+    decode: Any = decoder_of(AnySight)  # type: ignore[arg-type]  # a union is a type here
+    process, end = "", 0
+    sights: list[AnySight] = []
+    with path.open("rb") as file:
+        for body, offset in read_records(file, path, 0):
+            if end:
+                sights.append(decode(body))
+            else:
+                process = body.decode("ascii")
+            end = offset
+    return process, sights, end

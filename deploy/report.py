@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Sequence
-from math import inf
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -164,9 +163,11 @@ def _fault_table(result: Result) -> "Table":
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bright_black")
-    for title, justify in (("t", "right"), ("fault", "left"), ("real", "right"), ("on", "right")):
-        table.add_column(title, justify=justify)  # type: ignore[arg-type]
-    for fault in sorted(result.faults, key=lambda one: inf if one.due is None else one.due):
+    table.add_column("t", justify="right")
+    table.add_column("fault")
+    table.add_column("struck", justify="right")
+    table.add_column("went on after", justify="right")
+    for fault in sorted(result.faults, key=lambda one: (one.due or 0.0, one.struck_s or 0.0)):
         if fault.due is not None:
             real = "–" if fault.struck_s is None else f"{fault.struck_s:.2f} s"
             went_on = "–" if fault.went_on_s is None else f"{1000 * fault.went_on_s:.0f} ms"

@@ -1,7 +1,7 @@
 """Faults: what may happen to a run, in the words of a scenario."""
 
 from collections.abc import Iterator
-from math import inf
+from math import inf, isfinite
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -115,7 +115,8 @@ FAULT_WORDS = ("kill", *LASTING_WORDS, "skew", *TAG_WORDS, "tear", "flip")
 def robot_of(process: str | None) -> int | None:
     """Return the number of the robot that a process is; ``None`` if it is none."""
     kind, colon, number = (process or "").partition(":")
-    return int(number) if kind == "robot" and colon and number.isdecimal() else None
+    known = kind == "robot" and colon and number.isdecimal() and str(int(number)) == number
+    return int(number) if known else None
 
 
 def misfits_of(fault: Fault, robots: int, *, restart: bool, separate: bool) -> Iterator[Misfit]:
@@ -135,13 +136,16 @@ def misfits_of(fault: Fault, robots: int, *, restart: bool, separate: bool) -> I
         yield "", words or "none", f"exactly one of {', '.join(FAULT_WORDS)}"
         return
     word = fault.word
+    if not getattr(fault, word) and isinstance(getattr(fault, word), tuple):
+        yield f".{word}", [], "at least one process"
+        return
     yield from _target_misfits(fault, robots, separate=separate)
     if (fault.at is None) == (fault.at_request is None):
         yield "", fault.what, "one of `at` and `at_request`"
     if fault.at == inf:
         yield ".at", fault.at, "a finite time"
     for name in ("after_s", "for_s", "delay_s", "jitter_s", "by_s"):
-        if abs(getattr(fault, name)) == inf:
+        if not isfinite(getattr(fault, name)):
             yield f".{name}", getattr(fault, name), "a finite time"
     if fault.at_request is not None:
         if fault.round:
