@@ -53,7 +53,9 @@ class Memory:
 
     def keep(self, sight: AnySight) -> None:
         """Remember one more reply; when this returns it survives kill -9."""
-        os.write(self._descriptor, framed(encode(sight)))
+        record = framed(encode(sight))
+        if os.write(self._descriptor, record) != len(record):
+            raise JournalError("half a reply was remembered; is the disk full?")
 
     def close(self) -> None:
         """Let go of the file."""

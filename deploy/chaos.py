@@ -4,6 +4,7 @@ What was drawn stands in the journal and in the result like any fault that a sce
 run that chaos made is repeated by its seed, and a single fault of it can be played by itself.
 """
 
+from collections.abc import Sequence
 from math import ceil
 
 from msgspec.structs import replace
@@ -136,11 +137,14 @@ def _network(scenario: Scenario, until: float, rng: Stream) -> list[Fault]:
 
 def _tags(scenario: Scenario, until: float, ground: Ground, rng: Stream) -> list[Fault]:
     """Draw what becomes of tags; one device in five is destroyed for good."""
-    places = range(len(ground.names)) if not isinstance(ground, Grid) else None
+    places: Sequence[int] = range(0)
+    if scenario.chaos.tags and isinstance(ground, Grid):
+        places = [ground.place(*cell) for cell in ground.free_cells()]
+    elif not isinstance(ground, Grid):
+        places = range(len(ground.names))
     faults = []
-    for _ in range(scenario.chaos.tags if places else 0):
+    for _ in range(scenario.chaos.tags):
         at, round_ = _moment(scenario, until, rng)
-        assert places is not None
         place = rng.choice(places)
         kinds = (
             Fault(erase_tag=place),

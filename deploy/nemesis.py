@@ -83,19 +83,21 @@ class Nemesis:
         self._say = say
         self._acts: set[asyncio.Task[None]] = set()
         self._frozen: set[str] = set()
+        self._taken: set[int] = set()
         self._log_line(f"seed {scenario.seed}, {len(scenario.faults)} faults")
 
     # What the world says.
 
     def order(self, number: int) -> None:
-        """Take down a fault that is due."""
+        """Take down a fault that is due; the world waits until it strikes, or for its delay."""
         if number not in self.stories:
             self.stories[number] = FaultStory(time.monotonic())
             self._log_line(f"fault {number} is due: {self._scenario.faults[number]}")
             act = asyncio.get_running_loop().create_task(self._act(number))
             self._acts.add(act)
             act.add_done_callback(self._acts.discard)
-        self._tell(Taken(number))
+        elif number in self._taken:
+            self._tell(Taken(number))
 
     def robot_killed(self, number: int) -> None:
         """Take down that a robot's process was killed, as the world had ordered."""
@@ -118,6 +120,14 @@ class Nemesis:
             if story.struck_s is not None and story.went_on_s is None:
                 self._tell(Struck(number, story.struck_s))
 
+    def settled(self) -> bool:
+        """Tell whether it is known for each fault that struck when the run went on."""
+        return all(
+            story.went_on_s is not None
+            for story in self.stories.values()
+            if story.struck_s is not None
+        )
+
     async def heal(self) -> None:
         """End all that lasts, and let nothing strike any more."""
         for act in self._acts:
@@ -137,7 +147,17 @@ class Nemesis:
 
     async def _act(self, number: int) -> None:
         fault = self._scenario.faults[number]
-        await asyncio.sleep(fault.after_s)
+        if fault.after_s:
+            self._take(number)
+            await asyncio.sleep(fault.after_s)
+        await self._strike(number, fault)
+        self._take(number)  # also if there was nothing to strike
+
+    def _take(self, number: int) -> None:
+        self._taken.add(number)
+        self._tell(Taken(number))
+
+    async def _strike(self, number: int, fault: Fault) -> None:
         rng = spawn(self._scenario.seed, "nemesis", number)
         match fault.word:
             case "kill":
@@ -160,6 +180,7 @@ class Nemesis:
         now = time.monotonic()
         self.stories[number].struck_s = now
         self._log_line(f"fault {number} strikes: {self._scenario.faults[number].what}")
+        self._take(number)
         self._tell(Struck(number, now))
 
     async def _signal(self, name: str, sign: signal.Signals) -> bool:

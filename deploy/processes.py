@@ -9,6 +9,7 @@ import contextlib
 import os
 import secrets
 import signal
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -40,6 +41,9 @@ from world_server.journal import Journal, opening
 
 REMIND_S = 0.5
 """What the world may have missed is repeated this often."""
+
+SETTLE_S = 0.2
+"""After the end the world has so long to say when the run went on after the last faults."""
 
 ROBOTS_LEAVE_S = 5.0
 """Robots that have been told of the end are gone after this time, or are killed."""
@@ -310,6 +314,10 @@ class _Team:
                 if crashed.done():
                     crashed.result()
                 self._remind()
+            until = time.monotonic() + SETTLE_S
+            while not self.nemesis.settled() and time.monotonic() < until:
+                self.nemesis.remind()
+                await asyncio.sleep(SETTLE_S / 10)
         finally:
             for task in (crashed, over):
                 task.cancel()

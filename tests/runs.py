@@ -26,6 +26,9 @@ from world_server.replay import replay
 CANOPY = Path(sys.executable).with_name("canopy")
 
 
+RUN_S = 90.0
+"""A run by processes that takes longer hangs."""
+
 # Both engines, without the command line.
 
 
@@ -67,13 +70,28 @@ def play(setting: Setting, folder: Path, engine: str) -> Run:
     restarts: dict[str, int] = {}
     played = None
     if engine == "processes":
-        played = asyncio.run(processes.play(setting, run_dir, name, lambda _: None))
+        played = asyncio.run(_bounded(setting, run_dir, name))
         restarts, failures = played.restarts, played.failures
     else:
         failures = inprocess.run(setting, run_dir, name, lambda _: None)
-    *_, (closing, _) = scan(run_dir.journal)
-    assert isinstance(closing, Closing)
+    # Behind it there may be lives of a world that was started again to tell of the end.
+    (closing,) = (record for record, _ in scan(run_dir.journal) if isinstance(record, Closing))
     return Run(run_dir, closing.trace_sha256, closing.status, failures, restarts, played)
+
+
+async def _bounded(setting: Setting, run_dir: RunDir, name: str) -> processes.Played:
+    """Play a run by processes; one that hangs is ended, and says what it was about."""
+    try:
+        async with asyncio.timeout(RUN_S):
+            return await processes.play(setting, run_dir, name, lambda _: None)
+    except TimeoutError:
+        logs = [f"{log.name}: {log.read_text()[-500:]}" for log in sorted(run_dir.logs.iterdir())]
+        words = [
+            f"{name} hangs: no end after {RUN_S:g} s",
+            *map(str, setting.scenario.faults),
+            *logs,
+        ]
+        raise AssertionError("\n".join(words)) from None
 
 
 def requests_of(run: Run) -> list[int]:
@@ -253,6 +271,7 @@ class Watch:
     """
 
     OURS = ("zenoh", "canopy", "matplotlib", "test-")
+    OTHERS = "canopy-soak-"  # a soak beside us makes and removes its folders meanwhile
     SHARED = (Path("/dev/shm"), Path("/tmp"))  # looked at, never written
 
     def __init__(self, folder: Path) -> None:
@@ -266,6 +285,7 @@ class Watch:
         names = {
             str(path) for folder in self.SHARED if folder.is_dir() for path in folder.iterdir()
         }
+        names = {name for name in names if self.OTHERS not in name}
         return {name for name in names if any(ours in name.lower() for ours in self.OURS)}
 
     def nothing_left(self) -> None:
