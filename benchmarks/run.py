@@ -13,6 +13,8 @@ BENCHMARKS = (
     "recovery",
     "recovery_length",
     "processes",
+    "planning",
+    "connected",
 )
 
 
