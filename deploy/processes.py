@@ -20,7 +20,7 @@ from deploy.nemesis import FaultStory, Nemesis, proxied
 from deploy.proxy import Proxy
 from deploy.run_dir import RunDir
 from deploy.setting import Setting, tag_format_of
-from deploy.skew import environment_of
+from deploy.skew import clear, environment_of
 from deploy.supervisor import Supervisor
 from protocol.codec import decoder_of, encode
 from protocol.errors import MessageError
@@ -206,6 +206,7 @@ class _Launch:
             environment[PASSWORD] = password
         if any(fault.skew == name for fault in self._setting.scenario.faults):
             environment |= environment_of(self._run_dir.clock_shift(name))
+            more["reaped"] = clear
         await self._supervisor.start(name, command, environment=environment, **more)
 
     def _way(self, name: str) -> list[str]:

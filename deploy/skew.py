@@ -35,6 +35,12 @@ def environment_of(shift: Path) -> dict[str, str]:
     }
 
 
+def clear(pid: int) -> None:
+    """Remove the shared memory that libfaketime leaves behind for a process that was killed."""
+    for name in (f"faketime_shm_{pid}", f"sem.faketime_sem_{pid}"):
+        (Path("/dev/shm") / name).unlink(missing_ok=True)  # noqa: S108  a fixed place of the kernel's
+
+
 def set_clock(shift: Path, by_s: float) -> None:
     """Shift the wall clock of the process that reads ``shift``; a reader never sees half a number."""
     draft = shift.with_name(f"{shift.name}.new")

@@ -58,6 +58,7 @@ class Supervisor:
         environment: Mapping[str, str] | None = None,
         restart: Literal["never", "killed", "always"] = "never",
         ended: Callable[[int], None] | None = None,
+        reaped: Callable[[int], None] | None = None,
     ) -> None:
         """Start a Python process and watch it.
 
@@ -67,6 +68,7 @@ class Supervisor:
             environment: variables besides our own.
             restart: whether to start it again when it dies: if a signal killed it, or always.
             ended: called with the exit code when it ends and is not started again.
+            reaped: called with the pid of each of its lives when that is over.
         """
         if self._ending:
             return
@@ -89,6 +91,8 @@ class Supervisor:
         async def watch() -> None:
             code = await process.wait()
             os.close(self._handles.pop(process.pid))
+            if reaped is not None:
+                reaped(process.pid)
             if self._processes.get(name) is process:
                 del self._processes[name]
             if self._ending:
@@ -106,7 +110,14 @@ class Supervisor:
                 self._fail(f"{name} cannot run{self._last_words(name)}")
                 return
             self._before_restart.pop(name, lambda: None)()
-            await self.start(name, command, environment=environment, restart=restart, ended=ended)
+            await self.start(
+                name,
+                command,
+                environment=environment,
+                restart=restart,
+                ended=ended,
+                reaped=reaped,
+            )
 
         task = asyncio.create_task(watch())
         self._watches.add(task)

@@ -83,6 +83,10 @@ def draw(seed: int) -> dict[str, Any]:
             "tags": rng.choice((0, 0, 0, 1, 2, 4)) if on_graph else 0,
         },
     }
+    if rng.random() < 0.2:
+        names = ["world", *(["bookkeeping"] if on_graph else []), "robot:0"]
+        skew = {"skew": rng.choice(names), "at": rng.randrange(4), "by_s": rng.uniform(-1e6, 1e6)}
+        scenario["faults"] = [skew]
     if event:
         scenario["clock"] = {"mode": "event", "jitter": rng.choice((0.0, 0.3, "exponential"))}
     return scenario
