@@ -13,27 +13,32 @@ from typing import Any, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from agents.algorithms import mr_dfs, ormstc
+from agents.algorithms import mr_dfs, mstc, ormstc
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
 from protocol.section import OptionValue
 
-ALGORITHMS: dict[str, Any] = {"mr-dfs": mr_dfs.mr_dfs, "ormstc": ormstc.ormstc}
+ALGORITHMS: dict[str, Any] = {
+    "mr-dfs": mr_dfs.mr_dfs,
+    "mstc": mstc.mstc,
+    "ormstc": ormstc.ormstc,
+}
 """The algorithms of Canopy by name."""
 
 TAG_BYTES = {"mr-dfs": mr_dfs.tag_bytes}
 """The size of a tag, for those that use devices: of degree, team size and tree version."""
 
-GRID_ALGORITHMS = frozenset({"ormstc"})
+GRID_ALGORITHMS = frozenset({"mstc", "ormstc"})
 """Those that play on grids; the others of Canopy play on graphs, those of users on both."""
 
-ASSUMED = {
+ASSUMED: dict[str, dict[str, Any]] = {
+    "mstc": {"radio.reach": "global", "sensing.mode": "ahead", "sensing.map": True},
     "ormstc": {"radio.reach": "global", "sensing.mode": "ahead"},
 }
 """What an algorithm's paper assumes, for fields that a scenario leaves out."""
 
-CELL_ALGORITHMS = frozenset({"ormstc"})
+CELL_ALGORITHMS = frozenset({"mstc", "ormstc"})
 """Those that cover complete coarse cells only."""
 
 

@@ -10,7 +10,6 @@ from math import ceil
 from msgspec.structs import replace
 
 from deploy.ground import Ground
-from protocol.errors import ScenarioError
 from protocol.faults import Fault
 from protocol.grid import Grid
 from protocol.scenario import ChaosSection, Scenario
@@ -37,7 +36,7 @@ def with_chaos(scenario: Scenario, ground: Ground, to_cover: int) -> Scenario:
     until = fair_share(scenario, ground, to_cover) if chaos.until is None else chaos.until
     faults = list(scenario.faults)
     rng = spawn(scenario.seed, "chaos")
-    for victim in rng.sample(_victims(scenario), chaos.robots):
+    for victim in _victims(scenario, rng):
         at, round_ = _moment(scenario, until, rng)
         faults.append(Fault(kill=f"robot:{victim}", at=at, round=round_))
     # Streams of their own: that more of one kind is asked for changes nothing of the others.
@@ -47,20 +46,15 @@ def with_chaos(scenario: Scenario, ground: Ground, to_cover: int) -> Scenario:
     return replace(scenario, faults=tuple(faults), chaos=ChaosSection())
 
 
-def _victims(scenario: Scenario) -> list[int]:
-    """Return the robots that chaos may kill: those that are not killed anyway.
+def _victims(scenario: Scenario, rng: Stream) -> list[int]:
+    """Draw the robots to kill: those that no scheduled fault kills, but for one that is to be left.
 
-    Raises:
-        ScenarioError: If one robot would not be left.
+    Where these are too few, others are meant to be killed twice.
     """
-    killed = {fault.robot for fault in scenario.faults}
+    killed = {fault.robot for fault in scenario.faults if fault.robot is not None}
     others = [robot for robot in range(scenario.team.robots) if robot not in killed]
-    if scenario.chaos.robots >= len(others) > 0 and scenario.team.on_crash == "lost":
-        raise ScenarioError(
-            f"field `chaos.robots`: found {scenario.chaos.robots}, expected at most "
-            f"{len(others) - 1}: one robot must be left, and `faults` kills others"
-        )
-    return others if len(others) > scenario.chaos.robots else list(range(scenario.team.robots))
+    count = min(scenario.chaos.robots, max(0, len(others) - 1))
+    return rng.sample(others, count) + rng.sample(sorted(killed), scenario.chaos.robots - count)
 
 
 def fair_share(scenario: Scenario, ground: Ground, to_cover: int) -> float:

@@ -71,6 +71,7 @@ def prepare(scenario: Scenario) -> Setting:
     whole, notes = ground_of(scenario)
     scenario = _filled_in(scenario, whole)
     _check_kind(scenario, whole)
+    _check_assumed(scenario)
     found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
@@ -95,6 +96,8 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
     if sensing.mode is None:
         usual = "three" if isinstance(ground, Grid) else "ports"
         sensing = replace(sensing, mode=assumed.get("sensing.mode", usual))
+    if sensing.map is None:
+        sensing = replace(sensing, map=assumed.get("sensing.map", False))
     if device.capacity_bytes is None and name in ALGORITHMS and name not in TAG_BYTES:
         device = replace(device, capacity_bytes=0)
     return replace(scenario, radio=radio, sensing=sensing, device=device)
@@ -127,6 +130,7 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
         ("world.bodies", world.bodies, "pass"),
         ("world.starts", "random" if world.starts == "random" else None, None),
         ("sensing.position", scenario.sensing.position, "known"),
+        ("sensing.map", scenario.sensing.map, False),
         ("radio.reach", "radius" if scenario.radio.reach == "radius" else None, None),
     ):
         if value != usual:
@@ -156,6 +160,21 @@ def _with_places(scenario: Scenario, ground: Ground) -> Scenario:
             fault = replace(fault, **{fault.word: place})  # noqa: PLW2901  the same fault, resolved
         faults.append(fault)
     return replace(scenario, faults=tuple(faults))
+
+
+def _check_assumed(scenario: Scenario) -> None:
+    """Refuse what an algorithm that executes a plan cannot do without."""
+    if plain_name(scenario.algorithm) != "mstc":
+        return
+    for field, found, expected in (
+        ("sensing.map", scenario.sensing.map, True),
+        ("sensing.position", scenario.sensing.position, "known"),
+        ("world.bodies", scenario.world.bodies, "pass"),
+        ("radio.reach", scenario.radio.reach, "global"),
+        ("radio.loss", scenario.radio.loss, 0.0),
+    ):
+        if found != expected:
+            raise ScenarioError(f"field `{field}`: found {found!r}; mstc needs {expected!r}")
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:

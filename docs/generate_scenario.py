@@ -38,8 +38,8 @@ map = "my_cave.edges"
 robots = 4
 ```
 
-Some algorithms play on graphs (`mr-dfs`), others on grids (`ormstc`). On a grid a sub-cell has the size
-of a robot, a coarse cell is two by two of them, and `[0, 0]` is the sub-cell at the top left.
+Some algorithms play on graphs (`mr-dfs`), others on grids (`mstc`, `ormstc`). On a grid a sub-cell has
+the size of a robot, a coarse cell is two by two of them, and `[0, 0]` is the sub-cell at the top left.
 
 Times are virtual: ticks under the lockstep clock, time units under the event clock. An unknown
 field, a wrong type or a value out of range is refused in one line before anything starts.
@@ -52,6 +52,13 @@ path given by `--set` is relative to the current folder.
 
 - `variant`: `"corrected"` (default) or `"paper"`, as printed there.
 - `version`: `"graph"` (default) or `"tree"`, which is for trees only.
+
+`algorithm_options` of `mstc`, whose robots have the map and execute a plan:
+
+- `tree`: `"create-tree"` (default), `"random"`, `"depth-first"`, `"breadth-first"` or `"minimum"`.
+- `split`: who covers what of the tour around it, `"opt"` (default), `"b"` or `"nb"`.
+- `distance` (`"manhattan"`, `"euclid"`, `"shortest-path"`) and `alpha` (2): of Create_Tree.
+- `home`: whether robots go back to where they started (default `false`).
 
 `algorithm_options` of `ormstc`:
 

@@ -11,6 +11,7 @@ request names another one.
 """
 
 from typing import Literal
+from zlib import decompress
 
 from msgspec import Struct
 
@@ -204,6 +205,25 @@ class SensingFacts(Message, frozen=True):
     bodies_block: bool = False
 
 
+class KnownMap(Message, frozen=True):
+    """A grid that the robots have a map of, and where they all start.
+
+    Attributes:
+        rows, cols: sub-cells from top to bottom, and from left to right.
+        packed: the sub-cells as `protocol.grid.Grid` takes them, compressed.
+        starts: row and column of each robot's start.
+    """
+
+    rows: int
+    cols: int
+    packed: bytes
+    starts: tuple[tuple[int, int], ...]
+
+    def sub_cells(self) -> bytes:
+        """Return the sub-cells, row by row; not 0 where one is blocked."""
+        return decompress(self.packed)
+
+
 class Briefing(Message, frozen=True, tag="briefing"):
     """What a robot may know beforehand.
 
@@ -220,6 +240,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
         sensing: how it senses.
         position: row and column of its start, on a grid.
         devices_fail: whether tags may vanish or change by themselves.
+        map: the grid, where the robots know it beforehand.
         nonce: carried by its keys and its token from now on.
     """
 
@@ -235,6 +256,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
     sensing: SensingFacts = SensingFacts()
     position: tuple[int, int] | None = None
     devices_fail: bool = False
+    map: KnownMap | None = None
     nonce: str = ""
 
 

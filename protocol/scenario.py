@@ -165,6 +165,9 @@ class SensingSection(Section, frozen=True, kw_only=True):
     #: sub-cells within ``range_m``; ``"line-of-sight"``, those of them that no obstacle hides.
     #: Default: the least that the algorithm can do with; algorithms of users on grids: ``"three"``.
     range_m: Positive | None = None  #: With ``"radius"`` and ``"line-of-sight"``: how far, metres.
+    map: bool | None = None
+    #: Grids: whether robots have a map, and know where all of them start. Default: as the paper of the
+    #: algorithm assumes; algorithms of users: no.
     position: Literal["known", "odometry"] = "known"
     #: Grids: whether a robot knows where it is, or adds up its own moves.
     drift: Annotated[float, Meta(ge=0)] = 0.0

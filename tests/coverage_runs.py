@@ -335,11 +335,11 @@ def explorers() -> Iterator[dict[int, Explorer]]:
 def setting_on(
     folder: Path, lines: Sequence[str], starts: Sequence[Cell], **fields: Any
 ) -> Setting:
-    """Write a map, a character for each sub-cell, and prepare a run of ORMSTC on it."""
+    """Write a map, a character for each sub-cell, and prepare a run on it, of ORMSTC by default."""
     folder.mkdir(exist_ok=True)
     path = folder / "map.txt"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     world = {**fields.pop("world", {}), "map": str(path), "starts": [list(at) for at in starts]}
     team = {"robots": len(starts), **fields.pop("team", {})}
-    tree = {"algorithm": "ormstc", "world": world, "team": team, **fields}
+    tree = {"algorithm": fields.pop("algorithm", "ormstc"), "world": world, "team": team, **fields}
     return prepare(from_tree(tree, "test"))

@@ -17,7 +17,8 @@ from world_server.terrain import terrain_of
 from world_server.world import World
 
 VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
-    "ormstc": ({}, {"variant": "helping"}, {"lazy": False, "conflict": "fewest-cells"})
+    "mstc": ({}, {"split": "nb", "tree": "random"}, {"split": "b", "home": True}),
+    "ormstc": ({}, {"variant": "helping"}, {"lazy": False, "conflict": "fewest-cells"}),
 }
 
 pytestmark = pytest.mark.parametrize(
@@ -48,7 +49,7 @@ def played(
         "world": {"map": "none"},
         "team": {"robots": robots},
         "radio": {"reach": "global"},
-        "sensing": {"mode": "ahead"},
+        "sensing": {"mode": "ahead", "map": algorithm == "mstc"},
         "device": {"capacity_bytes": 0},
         **fields,
     }

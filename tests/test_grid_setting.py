@@ -442,7 +442,13 @@ def test_on_a_graph_nothing_has_changed() -> None:
 def test_what_a_scenario_says_is_kept(room: str) -> None:
     fields: dict[str, Any] = {
         "radio": {"reach": "radius", "radius_m": 3.0, "line_of_sight": True, "latency": 0.5},
-        "sensing": {"mode": "three", "position": "odometry", "drift": 0.1, "reset": False},
+        "sensing": {
+            "mode": "three",
+            "map": True,
+            "position": "odometry",
+            "drift": 0.1,
+            "reset": False,
+        },
         "device": {"capacity_bytes": 17},
     }
     scenario = scenario_of({"map": room}, **fields)

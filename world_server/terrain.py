@@ -5,11 +5,13 @@ of one only by going (Brass et al. 2011, Sec. I). On a grid it steps north, east
 senses cells around it; who steps against a blocked cell comes back by the exit it took.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from zlib import compress
 
 from protocol.errors import ExitError
 from protocol.graph import PortGraph
 from protocol.grid import EAST, NORTH, SOUTH, WEST, Cell, Grid
+from protocol.messages import KnownMap
 from protocol.scenario import Scenario
 from world_server.sensing import See, seer
 
@@ -113,6 +115,12 @@ class GridTerrain:
     def position(self, place: int) -> Cell:
         """Return row and column of a place."""
         return self.grid.position(place)
+
+    def known_map(self, starts: Sequence[int]) -> KnownMap:
+        """Return what robots that know the map are told: all of it, and where each of them starts."""
+        grid = self.grid
+        packed = compress(grid.cells())
+        return KnownMap(grid.rows, grid.cols, packed, tuple(map(grid.position, starts)))
 
 
 def _four(place: int) -> int:  # noqa: ARG001  as on a graph

@@ -324,7 +324,9 @@ class World:
         """Return what ``robot`` may know beforehand."""
         scenario, terrain = self._scenario, self._terrain
         radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
-        range_cells = 0.0
+        range_cells, known_map = 0.0, None
+        if isinstance(terrain, GridTerrain) and scenario.sensing.map:
+            known_map = terrain.known_map(self._starts)
         if isinstance(terrain, GridTerrain) and scenario.sensing.range_m is not None:
             range_cells = in_sub_cells(scenario.sensing.range_m, terrain.grid)
         return Briefing(
@@ -345,6 +347,7 @@ class World:
             ),
             terrain.position(self._starts[robot]) if on_grid else None,
             any(fault.word in TAG_WORDS for fault in scenario.faults),
+            known_map,
             nonce,
         )
 

@@ -14,6 +14,7 @@ from deploy.verdict.coverage import AnyLedger, coverage_of
 from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
+from deploy.verdict.mstc import Mstc
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
@@ -179,6 +180,8 @@ def monitors_of(scenario: Scenario, ledger: AnyLedger) -> list[Monitor]:
             return [Brass(scenario, ledger)]
         case "ormstc", GridLedger():
             return [Agmon(scenario, ledger)]
+        case "mstc", GridLedger():
+            return [Mstc(scenario, ledger)]
         case _:
             return []
 
