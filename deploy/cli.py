@@ -148,17 +148,20 @@ def _parser() -> argparse.ArgumentParser:
         help="play a paper's experiments, with figures and tables",
         description="Play the experiments of a paper, print tables, and write figures and numbers.",
     )
-    paper.add_argument("name", metavar="NAME", help="the paper: ormstc")
+    paper.add_argument("name", metavar="NAME", help="the paper: mstc or ormstc")
     paper.add_argument(
         "--only",
         action="append",
         default=[],
         metavar="PART",
-        help="play one part: figure13, options, losses or helping; may be given often",
+        help="play one part, such as figure13 or losses of ormstc, figure6 of mstc; may be given often",
     )
     paper.add_argument("--quick", action="store_true", help="play a few runs of each part")
     paper.add_argument(
-        "--inputs", type=_count, metavar="N", help="worlds and starts of the part losses (100)"
+        "--inputs",
+        type=_count,
+        metavar="N",
+        help="worlds and starts: of losses of ormstc (100), of mstc (300)",
     )
     paper.add_argument("--out", type=Path, metavar="DIR", help="folder for files (runs/paper-NAME)")
     paper.add_argument("--json", action="store_true", help="print the numbers as one JSON object")

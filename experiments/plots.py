@@ -21,21 +21,21 @@ FAINT = "#e6e6e6"
 
 def figure13(rows: Sequence[Row], path: Path) -> None:
     """Draw the coverage time against the number of robots, a curve for each map."""
-    figure = _new(6.0, 4.2)
+    figure = new(6.0, 4.2)
     axes = figure.subplots()
     names = dict.fromkeys(str(row.labels["map"]) for row in rows)
     for number, name in enumerate(names):
         of_map = [row for row in rows if row.labels["map"] == name]
         _curve(axes, of_map, name, number, shift=0.09 * (number - (len(names) - 1) / 2))
         _even_share(axes, of_map, COLOURS[number])
-    _dress(axes, "robots", "coverage time (ticks)", (int(row.labels["robots"]) for row in rows))
+    dress(axes, "robots", "coverage time (ticks)", (int(row.labels["robots"]) for row in rows))
     _legend(axes)
-    _save(figure, path)
+    save(figure, path)
 
 
 def options(rows: Sequence[Row], path: Path) -> None:
     """Draw what each option does to coverage time, extra visits and completeness."""
-    figure = _new(7.4, 0.5 + 0.235 * len(rows) + 0.45)
+    figure = new(7.4, 0.5 + 0.235 * len(rows) + 0.45)
     panels = figure.subplots(1, 3, sharey=True, width_ratios=(2.2, 1, 1))
     heights = range(len(rows), 0, -1)
     base = next(row for row in rows if row.labels["option"] == BASELINE)
@@ -97,12 +97,12 @@ def options(rows: Sequence[Row], path: Path) -> None:
         )[0],
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=8.5)
-    _save(figure, path)
+    save(figure, path)
 
 
 def losses(rows: Sequence[Row], path: Path) -> None:
     """Draw coverage time without and with losses, and extra visits, beside the specification's."""
-    figure = _new(7.8, 3.2)
+    figure = new(7.8, 3.2)
     panels = figure.subplots(1, 3)
     unharmed = [row for row in rows if row.labels["losses"] == 0]
     _curve(panels[0], unharmed, "measured", 0)
@@ -110,7 +110,7 @@ def losses(rows: Sequence[Row], path: Path) -> None:
         panels[0],
         {robots: each.coverage_time for (robots, lost), each in PUBLISHED.items() if not lost},
     )
-    _dress(
+    dress(
         panels[0],
         "robots, none lost",
         "coverage time (ticks)",
@@ -133,15 +133,15 @@ def losses(rows: Sequence[Row], path: Path) -> None:
     extra = {lost: each.extra_percent for lost, each in harmed.items()}
     _published(panels[2], {lost: share for lost, share in extra.items() if share is not None})
     for axes, name in zip(panels[1:], ("coverage time (ticks)", "extra visits (%)"), strict=True):
-        _dress(axes, f"lost, of {most} robots", name, harmed)
+        dress(axes, f"lost, of {most} robots", name, harmed)
     for axes in panels[:2]:
         _legend(axes)
-    _save(figure, path)
+    save(figure, path)
 
 
 def helping(rows: Sequence[Row], path: Path) -> None:
     """Draw the coverage time with and without helping, for scattered and for clustered starts."""
-    figure = _new(7.0, 3.4)
+    figure = new(7.0, 3.4)
     kinds = list(dict.fromkeys(str(row.labels["starts"]) for row in rows))
     panels = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
     for axes, kind in zip(panels, kinds, strict=True):
@@ -154,16 +154,17 @@ def helping(rows: Sequence[Row], path: Path) -> None:
         axes.set_title(f"{kind} starts", size=10, color=INK, loc="left")
     for axes in panels:
         label = "coverage time (ticks)" if axes is panels[0] else ""
-        _dress(axes, "robots", label, (int(row.labels["robots"]) for row in rows))
+        dress(axes, "robots", label, (int(row.labels["robots"]) for row in rows))
     _legend(panels[0])
-    _save(figure, path)
+    save(figure, path)
 
 
 FIGURES = {"figure13": figure13, "options": options, "losses": losses, "helping": helping}
 """By the name of the part."""
 
 
-def _new(width: float, height: float) -> "Figure":
+def new(width: float, height: float) -> "Figure":
+    """Return an empty figure, inches."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -171,7 +172,8 @@ def _new(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), dpi=DPI, layout=layout)
 
 
-def _save(figure: "Figure", path: Path) -> None:
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure."""
     figure.savefig(path, facecolor="white", metadata={"Software": None})
 
 
@@ -248,7 +250,8 @@ def _published(axes: "Axes", values: Mapping[int, float]) -> None:
     )
 
 
-def _dress(axes: "Axes", x: str, y: str, ticks: Iterable[int]) -> None:
+def dress(axes: "Axes", x: str, y: str, ticks: Iterable[int]) -> None:
+    """Name the axes, and give them ticks and a grid."""
     axes.set_xlabel(x, size=9.5, color=INK)
     axes.set_ylabel(y, size=9.5, color=INK)
     axes.set_xticks(sorted(set(ticks)))

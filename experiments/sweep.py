@@ -143,7 +143,7 @@ def sweep(trees: Sequence[Tree], *, workers: int = 1, show: Show | None = None) 
         workers,
         # Not a fork: this process may have threads.
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin_work,
+        initializer=begin_work,
         initargs=(os.getpid(),),
     )
     try:
@@ -174,7 +174,7 @@ def _collect(results: Any, total: int, show: Show | None) -> list[Measured]:  # 
     return collected
 
 
-def _begin_work(parent: int) -> None:
+def begin_work(parent: int) -> None:
     """Live no longer than the parent, and leave Ctrl-C to it."""
     os.environ[PARENT] = str(parent)
     tie_to_supervisor()

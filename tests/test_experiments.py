@@ -302,7 +302,7 @@ def test_the_command_prints_one_object(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["mstc"], "paper mstc: no such paper; expected ormstc"),
+        (["nonesuch"], "paper nonesuch: no such paper; expected mstc, ormstc"),
         (
             ["ormstc", "--only", "x"],
             "--only x: no such part of the paper; expected one of figure13",
