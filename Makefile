@@ -57,8 +57,8 @@ test: $(STAMP) ## Run the quick tests
 test-slow: $(STAMP) ## Run the slow tests
 	$(PYTEST) -m slow $(PYTEST_ARGS) || [ $$? -eq 5 ]
 
-soak: $(STAMP) ## Random scenarios under random faults, for MINUTES=10
-	$(VENV)/bin/python -m experiments.soak --minutes $(or $(MINUTES),10)
+soak: $(STAMP) ## Random scenarios under random faults, for MINUTES=10, from SEED
+	$(VENV)/bin/python -m experiments.soak --minutes $(or $(MINUTES),10) $(if $(SEED),--seed $(SEED))
 
 check: $(STAMP) ## Lint, formatting, types, floors, reference up to date
 	$(VENV)/bin/ruff check

@@ -26,9 +26,9 @@ nearer end of the part by a shortest way instead of along the tour.
 
 from collections import deque
 from collections.abc import Collection, Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from agents.body import Body
 from agents.planning.team import Kind, TeamPlan, team_plan
@@ -56,7 +56,7 @@ class Options(Struct, frozen=True, forbid_unknown_fields=True):
     )
     split: Literal["nb", "b", "opt"] = "opt"
     distance: Literal["manhattan", "euclid", "shortest-path"] = "manhattan"
-    alpha: float = 2.0
+    alpha: Annotated[float, Meta(ge=0, le=4)] = 2.0
     home: bool = False
 
     @property

@@ -70,7 +70,6 @@ def tree_of(kind: Kind, cells: Sequence[int], starts: Sequence[Cell], seed: int)
     return bridges.join(best_of_tries(bridges, tries, spawn(seed, "bridges")).bridge_set)
 
 
-@lru_cache(maxsize=64)
 def team_plan(
     rows: int,
     cols: int,
@@ -95,7 +94,19 @@ def team_plan(
     whole = [number(cell) for cell in grid.complete_cells()]
     cells = component(whole, located(starts[robot])[0])
     inside = set(cells)
-    members = [one for one, start in enumerate(starts) if located(start)[0] in inside]
+    members = tuple(one for one, start in enumerate(starts) if located(start)[0] in inside)
+    return _planned(tuple(cells), starts, members, kind, seed)
+
+
+@lru_cache(maxsize=16)
+def _planned(
+    cells: tuple[int, ...],
+    starts: tuple[Cell, ...],
+    members: tuple[int, ...],
+    kind: Kind,
+    seed: int,
+) -> TeamPlan:
+    """Plan for one part of a map; robots in one process, and the verdict, share what is found."""
     own_starts = [starts[one] for one in members]
     tree = tree_of(kind, cells, own_starts, seed)
     tour = circumnavigate(tree, own_starts[0])
