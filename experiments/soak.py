@@ -246,8 +246,10 @@ def soak(minutes: float, first: int, runs: int | None, jobs: int) -> int:
 
 
 def _shared_memory() -> set[str]:
+    """Return what lies in shared memory, but for semaphores of Python's pools, ours or others'."""
     folder = Path("/dev/shm")  # noqa: S108  looked at, not used
-    return {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
+    names = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
+    return {name for name in names if not name.startswith("sem.mp-")}
 
 
 def _tell(outcome: Outcome, *, every: bool, of: list[Outcome]) -> None:
