@@ -14,12 +14,16 @@ from statistics import median
 
 from agents.algorithms.connected_rule import (
     Moves,
-    RootedTree,
     Team,
     next_moves,
-    paper_splits,
-    perfect_tree,
     ticks_taken,
+)
+from agents.algorithms.connected_splits import (
+    paper_splits,
+)
+from agents.planning.rooted_tree import (
+    RootedTree,
+    perfect_tree,
 )
 from benchmarks.table import print_table
 

@@ -15,22 +15,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.algorithms.connected_rule import (
-    NOWHERE,
     Moves,
-    RootedTree,
     Team,
     Tick,
     Variant,
-    allowed_splits,
     checked_splits,
+    next_moves,
+    ticks_taken,
+)
+from agents.algorithms.connected_splits import (
+    allowed_splits,
     choose_splits,
     fastest_splits,
-    next_moves,
     paper_splits,
-    perfect_tree,
     perfect_tree_ticks,
     robots_needed,
-    ticks_taken,
+)
+from agents.planning.rooted_tree import (
+    NOWHERE,
+    RootedTree,
+    perfect_tree,
     tree_of_graph,
     tree_of_parents,
     vertices_of_perfect,

@@ -44,155 +44,32 @@ Departures from the paper:
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from heapq import heapify, heappop, heapreplace
-from itertools import islice
 from math import inf
 from typing import Literal
 
-from protocol.graph import PortGraph
+from agents.planning.rooted_tree import NOWHERE, RootedTree
 
 Variant = Literal["ncocta", "cocta"]
-
-Splits = Literal["paper", "best"] | Sequence[int]
-"""Split heights: by the paper's formula, the fastest of those that were tried, or as given."""
 
 Moves = dict[int, int]
 """Where each robot goes in this tick; a robot that is absent stays."""
 
-NOWHERE = -1
-"""The parent of the root."""
-
-
-# The tree.
-
-
-class RootedTree:
-    """A tree as all robots know it; vertices are numbered from 0 in any order.
-
-    Attributes:
-        root: where all robots start.
-        children: those of each vertex, in the order in which they are explored.
-        parents: that of each vertex; `NOWHERE` above the root.
-        heights: of each vertex: the tree's height less the vertex's depth.
-        height: of the tree: the largest depth (the paper's H).
-        arity: the largest number of children (the paper's N).
-        upwards: the place of each vertex in an order by height, then number.
-    """
-
-    __slots__ = ("arity", "children", "height", "heights", "parents", "root", "upwards")
-
-    def __init__(self, children: Sequence[Sequence[int]], root: int = 0) -> None:
-        """Take a tree by the children of each vertex.
-
-        Raises:
-            ValueError: If that is no tree with this root.
-        """
-        self.root = root
-        self.children = tuple(map(tuple, children))
-        parents = [NOWHERE] * len(self.children)
-        depths = [-1] * len(self.children)
-        if not 0 <= root < len(parents):
-            raise ValueError(f"no vertex {root} among {len(parents)}: no root")
-        depths[root] = 0
-        found = [root]
-        for vertex in found:
-            for child in self.children[vertex]:
-                if not 0 <= child < len(parents) or depths[child] >= 0:
-                    raise ValueError(
-                        f"vertex {child} below {vertex}: absent, or in the tree already"
-                    )
-                parents[child] = vertex
-                depths[child] = depths[vertex] + 1
-                found.append(child)
-        if len(found) < len(parents):
-            raise ValueError(f"vertex {depths.index(-1)} is not below the root {root}")
-        self.parents = tuple(parents)
-        self.height = max(depths)
-        self.heights = tuple(self.height - depth for depth in depths)
-        self.arity = max(map(len, self.children))
-        upwards = [0] * len(parents)
-        order = sorted(range(len(parents)), key=self.heights.__getitem__)
-        for place, vertex in enumerate(order):
-            upwards[vertex] = place
-        self.upwards = tuple(upwards)
-
-    def __len__(self) -> int:
-        """Return the number of vertices (the paper's n)."""
-        return len(self.parents)
-
-
-def tree_of_parents(parents: Sequence[int | None]) -> RootedTree:
-    """Return a tree by the parent of each vertex; children are explored in the order of their numbers.
-
-    Args:
-        parents: the parent of each vertex; ``None`` or `NOWHERE` for the root.
-
-    Raises:
-        ValueError: If there is not one root, or a vertex is not below it.
-    """
-    roots = [vertex for vertex, parent in enumerate(parents) if parent in (None, NOWHERE)]
-    if len(roots) != 1:
-        raise ValueError(f"a tree has one root, not {len(roots)}")
-    children: list[list[int]] = [[] for _ in parents]
-    for vertex, parent in enumerate(parents):
-        if parent is not None and parent != NOWHERE:
-            if not 0 <= parent < len(parents):
-                raise ValueError(f"vertex {vertex} is below {parent}, which is no vertex")
-            children[parent].append(vertex)
-    return RootedTree(children, roots[0])
-
-
-def tree_of_graph(graph: PortGraph, root: int) -> RootedTree:
-    """Return a graph that is a tree, seen from its root; children are explored in the order of ports.
-
-    Raises:
-        ValueError: If the graph is no tree.
-    """
-    children: list[list[int]] = [[] for _ in graph.far]
-    entry = {root: -1}
-    found = [root]
-    for vertex in found:
-        for port, (far, back) in enumerate(graph.ways[vertex]):
-            if port != entry[vertex]:
-                if far in entry:
-                    raise ValueError(f"no tree: the edge from {vertex} to {far} closes a cycle")
-                entry[far] = back
-                children[vertex].append(far)
-                found.append(far)
-    return RootedTree(children, root)
-
-
-def perfect_tree(arity: int, height: int) -> RootedTree:
-    """Return the perfect N-ary tree; the children of v are N v + 1, ..., N v + N (Sec. 3)."""
-    inner = vertices_of_perfect(arity, height - 1)
-    below = [range(arity * v + 1, arity * v + arity + 1) for v in range(inner)]
-    return RootedTree([*below, *[()] * arity**height])
-
-
-def vertices_of_perfect(arity: int, height: int) -> int:
-    """Return the number of vertices of the perfect tree; none if the height is -1."""
-    return sum(arity**depth for depth in range(height + 1))
-
-
-def without(tree: RootedTree, gone: Iterable[int]) -> RootedTree:
-    """Return a tree less some vertices and all below them; the others keep their order (Sec. 4.4).
-
-    Raises:
-        ValueError: If the root is among them.
-    """
-    cut = set(gone)
-    if tree.root in cut:
-        raise ValueError("nothing is left of a tree without its root")
-    kept = [tree.root]
-    for vertex in kept:
-        kept.extend(child for child in tree.children[vertex] if child not in cut)
-    number = {vertex: place for place, vertex in enumerate(sorted(kept))}
-    children = [
-        [number[child] for child in tree.children[vertex] if child in number] for vertex in number
-    ]
-    return RootedTree(children, number[tree.root])
-
 
 # What the team knows.
+
+
+def checked_splits(tree: RootedTree, splits: Iterable[int]) -> tuple[int, ...]:
+    """Return split heights in descending order.
+
+    Raises:
+        ValueError: If one is not in 1..H, or given twice.
+    """
+    descending = tuple(sorted(splits, reverse=True))
+    if len(set(descending)) < len(descending):
+        raise ValueError(f"a split height is given twice: {[*descending]}")
+    if descending and not 1 <= descending[-1] <= descending[0] <= tree.height:
+        raise ValueError(f"split heights are in 1..{tree.height}, not {[*descending]}")
+    return descending
 
 
 class Team:
@@ -539,151 +416,3 @@ def ticks_taken(team: Team, limit: int) -> int | None:
             return None
         team.apply(moves)
     return limit if team.over else None
-
-
-# Where the team splits.
-
-MOST_SPLITS = 4096
-"""How many sets of split heights are looked at, at most, before they are tried."""
-
-
-def choose_splits(
-    tree: RootedTree, team_size: int, variant: Variant, splits: Splits, effort: int = 100_000
-) -> tuple[int, ...]:
-    """Return the split heights for a team, descending.
-
-    Args:
-        tree: what they are to cover.
-        team_size: number of robots.
-        variant: ``"ncocta"`` or ``"cocta"``.
-        splits: ``"paper"``, ``"best"``, or the heights themselves.
-        effort: how many ticks may be played, in all, to find the best.
-
-    Raises:
-        ValueError: If a given height is not in 1..H, or given twice.
-    """
-    if splits == "paper":
-        return paper_splits(tree.arity, tree.height, team_size)
-    if splits == "best":
-        return fastest_splits(tree, team_size, variant, effort)
-    assert not isinstance(splits, str), splits
-    return checked_splits(tree, splits)
-
-
-def checked_splits(tree: RootedTree, splits: Iterable[int]) -> tuple[int, ...]:
-    """Return split heights in descending order.
-
-    Raises:
-        ValueError: If one is not in 1..H, or given twice.
-    """
-    descending = tuple(sorted(splits, reverse=True))
-    if len(set(descending)) < len(descending):
-        raise ValueError(f"a split height is given twice: {[*descending]}")
-    if descending and not 1 <= descending[-1] <= descending[0] <= tree.height:
-        raise ValueError(f"split heights are in 1..{tree.height}, not {[*descending]}")
-    return descending
-
-
-def paper_splits(arity: int, height: int, team_size: int) -> tuple[int, ...]:
-    """Return the split heights by the paper's formula, for as many splits as the team allows.
-
-    Where the highest would be above the root, the lowest is lowered, and if that is not enough there
-    are fewer of them. On a tree that is not perfect ``arity`` is the largest number of children; on a
-    path nothing is to be split.
-
-    Paper:
-        Sinay et al. 2017, Sec. 4.2, Eq. (1), with the lowest height of Lemma 4.5 as in Sec. 4.3.
-    """
-    if arity < 2:
-        return ()
-    number = 0
-    while robots_needed(arity, _printed_splits(arity, number + 1)) <= team_size:
-        number += 1
-    number = min(number, height)
-    if not number:
-        return ()
-    lowest = min(_printed_splits(arity, number)[-1], height - number + 1)
-    return tuple(range(lowest + number - 1, lowest - 1, -1))
-
-
-def _printed_splits(arity: int, number: int) -> tuple[int, ...]:
-    """Return h_1, ..., h_m for m splits: h_m = floor(log_N m) + m + 4, and h_i = h_m + m - i."""
-    logarithm = 0
-    while arity ** (logarithm + 1) <= number:
-        logarithm += 1
-    lowest = logarithm + number + 4
-    return tuple(range(lowest + number - 1, lowest - 1, -1))
-
-
-def robots_needed(arity: int, splits: Sequence[int]) -> int:
-    """Return how many robots make up a trail from each split to the leaves: then the run ends.
-
-    Paper:
-        Sinay et al. 2017, Sec. 4.1: 1 + N h_1 + the sum over i > 1 of (N^i - N^(i-1)) h_i.
-    """
-    if not splits:
-        return 1
-    needed = 1 + arity * splits[0]
-    for i, height in enumerate(splits[1:], 2):
-        needed += (arity**i - arity ** (i - 1)) * height
-    return needed
-
-
-def perfect_tree_ticks(arity: int, height: int, splits: Sequence[int]) -> int:
-    """Return the ticks that NCOCTA takes on a perfect tree, with at least `robots_needed`.
-
-    Paper:
-        Sinay et al. 2017, Lemma 4.3 and the recursion for Lemma 4.4 (E_H), for any split heights.
-    """
-    if not splits:
-        return _there_and_back(arity, height)
-    lower = splits[-1]
-    ticks: int = vertices_of_perfect(arity, lower - 1) + lower
-    for upper in splits[-2::-1]:
-        # Into one child; from there, all together, to each vertex of the lower split height.
-        between = upper - 1 - lower
-        ticks = 2 + _there_and_back(arity, between) + arity**between * ticks
-        lower = upper
-    subtrees: int = arity ** (height - lower)
-    return _there_and_back(arity, height - lower) + subtrees * ticks
-
-
-def _there_and_back(arity: int, height: int) -> int:
-    return 2 * (vertices_of_perfect(arity, height) - 1)
-
-
-def fastest_splits(
-    tree: RootedTree, team_size: int, variant: Variant, effort: int
-) -> tuple[int, ...]:
-    """Return the fastest of the split heights that were tried on a tree.
-
-    Those of the paper come first, then others in the order in which they are promising: by the time
-    of NCOCTA on the perfect tree. Each is played to its end, or until it is no faster.
-    """
-    best = paper_splits(tree.arity, tree.height, team_size)
-    limit = effort
-    sets = sorted(
-        islice(allowed_splits(tree, team_size), MOST_SPLITS),
-        key=lambda splits: (perfect_tree_ticks(tree.arity, tree.height, splits), splits),
-    )
-    for splits in dict.fromkeys((best, *sets)):
-        if effort <= 0:
-            break
-        ticks = ticks_taken(Team(tree, team_size, variant, splits), min(limit, effort))
-        if ticks is not None:
-            best, limit = splits, ticks - 1
-        effort -= limit
-    return best
-
-
-def allowed_splits(
-    tree: RootedTree, team_size: int, above: tuple[int, ...] = ()
-) -> Iterator[tuple[int, ...]]:
-    """Yield the sets of split heights for which a team is large enough, and that there be none."""
-    yield above
-    if tree.arity < 2:
-        return
-    for height in range(above[-1] - 1 if above else tree.height, 0, -1):
-        splits = (*above, height)
-        if robots_needed(tree.arity, splits) <= team_size:
-            yield from allowed_splits(tree, team_size, splits)
