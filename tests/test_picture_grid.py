@@ -18,17 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
-from deploy.picture_grid import (
-    ALARM,
-    SHADED,
-    TEXTURES,
-    WALL,
-    draw_grid,
-    draw_grid_run,
-    paint_map,
-    paint_run,
-    shade,
-)
+from deploy.grid_pixels import ALARM, SHADED, TEXTURES, WALL, paint_map, paint_run, shade
+from deploy.picture_grid import draw_grid, draw_grid_run
 from deploy.picture_parts import COLOURS, EARLY, LEGEND_MOST, colour, mix
 from protocol.grid import Cell, Grid, sub_cells
 
