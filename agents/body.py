@@ -87,7 +87,7 @@ class Body:
             raise AlgorithmError(f"move by exit {exit_!r}; expected the number of a port")
         if gaze is not None:
             _check_gaze(gaze)
-        if messages or tag.__class__ is not bytes or len(tag) > TAG_BYTES_UNCHECKED:
+        if messages or tag.__class__ not in PLAIN_TAGS or (tag and len(tag) > TAG_BYTES_UNCHECKED):
             _check(tag, messages)
         return (yield Move(tag, messages, exit_, gaze))
 
@@ -100,7 +100,8 @@ class Body:
         messages: tuple[bytes, ...] = (),
     ) -> Ask:
         """Stay for ``duration`` time units (that many ticks in lockstep)."""
-        _check(tag, messages)
+        if messages != () or tag is not None:
+            _check(tag, messages)
         return (yield Wait(tag, messages, _time(duration)))
 
     @coroutine
@@ -129,6 +130,8 @@ class Body:
 
 EXIT_MAX = 1 << 31
 """No vertex has more ports."""
+
+PLAIN_TAGS = (bytes, None.__class__)
 
 TAG_BYTES_UNCHECKED = 4096
 """A tag of at most this size fits a message, so that a plain move needs no closer look."""

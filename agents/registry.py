@@ -13,15 +13,17 @@ from typing import Any, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from agents.algorithms import mr_dfs, mstc, ormstc
+from agents.algorithms import connected, mr_dfs, mstc, ormstc
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
 from protocol.section import OptionValue
 
 ALGORITHMS: dict[str, Any] = {
+    "cocta": connected.cocta,
     "mr-dfs": mr_dfs.mr_dfs,
     "mstc": mstc.mstc,
+    "ncocta": connected.ncocta,
     "ormstc": ormstc.ormstc,
 }
 """The algorithms of Canopy by name."""
@@ -32,11 +34,23 @@ TAG_BYTES = {"mr-dfs": mr_dfs.tag_bytes}
 GRID_ALGORITHMS = frozenset({"mstc", "ormstc"})
 """Those that play on grids; the others of Canopy play on graphs, those of users on both."""
 
+_CONNECTED = {
+    "radio.reach": "adjacent",
+    "radio.relay": True,
+    "radio.heartbeat": "reach",
+    "sensing.map": True,
+}
+
 ASSUMED: dict[str, dict[str, Any]] = {
+    "cocta": _CONNECTED,
     "mstc": {"radio.reach": "global", "sensing.mode": "ahead", "sensing.map": True},
+    "ncocta": _CONNECTED,
     "ormstc": {"radio.reach": "global", "sensing.mode": "ahead"},
 }
 """What an algorithm's paper assumes, for fields that a scenario leaves out."""
+
+CONNECTED_ALGORITHMS = frozenset({"cocta", "ncocta"})
+"""Those whose team stays connected by radio on a known tree."""
 
 CELL_ALGORITHMS = frozenset({"mstc", "ormstc"})
 """Those that cover complete coarse cells only."""

@@ -39,7 +39,7 @@ class EveryVertex:
         self.tree = team.tree
         self.splits = team.splits
         self.top_split = team.top_split
-        self.at = list(team.at)
+        self.at = list(team.at.values())
         self.visited = [bool(visited) for visited in team.visited]
         self.lowest_first = sorted(range(len(self.tree)), key=self.tree.upwards.__getitem__)
         self.inside = [0] * len(self.tree)

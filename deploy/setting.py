@@ -1,15 +1,18 @@
 """The setting of a run: the scenario, checked against the place that it is played at."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from msgspec import Struct
+from msgspec import Struct, convert
 from msgspec.structs import replace
 
+from agents.algorithms import connected
 from agents.body import Algorithm
 from agents.registry import (
     ALGORITHMS,
     ASSUMED,
     CELL_ALGORITHMS,
+    CONNECTED_ALGORITHMS,
     GRID_ALGORITHMS,
     TAG_BYTES,
     algorithm_of,
@@ -75,6 +78,7 @@ def prepare(scenario: Scenario) -> Setting:
     found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
+        scenario = _with_splits(scenario, found.ground, found.starts)
     _check_database(scenario)
     scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
     notes = (*notes, *found.notes)
@@ -93,6 +97,13 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
     radio, sensing, device = scenario.radio, scenario.sensing, scenario.device
     if radio.reach is None:
         radio = replace(radio, reach=assumed.get("radio.reach", "none"))
+    if radio.relay is None:
+        relay = assumed.get("radio.relay", False) and radio.reach == "adjacent"
+        radio = replace(radio, relay=relay)
+    if radio.heartbeat is None:
+        # On the event clock silence tells nothing: only a beacon that is heard everywhere does.
+        heard = "global" if scenario.clock.mode == "event" else assumed.get("radio.heartbeat")
+        radio = replace(radio, heartbeat=heard or "global")
     if sensing.mode is None:
         usual = "three" if isinstance(ground, Grid) else "ports"
         sensing = replace(sensing, mode=assumed.get("sensing.mode", usual))
@@ -130,7 +141,6 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
         ("world.bodies", world.bodies, "pass"),
         ("world.starts", "random" if world.starts == "random" else None, None),
         ("sensing.position", scenario.sensing.position, "known"),
-        ("sensing.map", scenario.sensing.map, False),
         ("radio.reach", "radius" if scenario.radio.reach == "radius" else None, None),
     ):
         if value != usual:
@@ -164,17 +174,61 @@ def _with_places(scenario: Scenario, ground: Ground) -> Scenario:
 
 def _check_assumed(scenario: Scenario) -> None:
     """Refuse what an algorithm that executes a plan cannot do without."""
-    if plain_name(scenario.algorithm) != "mstc":
-        return
-    for field, found, expected in (
-        ("sensing.map", scenario.sensing.map, True),
-        ("sensing.position", scenario.sensing.position, "known"),
-        ("world.bodies", scenario.world.bodies, "pass"),
-        ("radio.reach", scenario.radio.reach, "global"),
-        ("radio.loss", scenario.radio.loss, 0.0),
-    ):
+    name = plain_name(scenario.algorithm)
+    radio, sensing = scenario.radio, scenario.sensing
+    needs: list[tuple[str, object, object]] = []
+    if name in CONNECTED_ALGORITHMS:
+        needs = [
+            ("sensing.map", sensing.map, True),
+            ("radio.reach", radio.reach, "adjacent"),
+            ("radio.relay", radio.relay, True),
+            ("radio.latency", radio.latency, 0.0),
+            ("radio.loss", radio.loss, 0.0),
+            ("radio.duplicate", radio.duplicate, 0.0),
+            ("world.starts", scenario.world.starts, None),
+        ]
+        if scenario.clock.mode == "event":
+            needs.append(("radio.heartbeat", radio.heartbeat, "global"))
+    elif name == "mstc":
+        needs = [
+            ("sensing.map", sensing.map, True),
+            ("sensing.position", sensing.position, "known"),
+            ("world.bodies", scenario.world.bodies, "pass"),
+            ("radio.reach", radio.reach, "global"),
+            ("radio.loss", radio.loss, 0.0),
+        ]
+    for field, found, expected in needs:
         if found != expected:
-            raise ScenarioError(f"field `{field}`: found {found!r}; mstc needs {expected!r}")
+            known = "nothing" if expected is None else repr(expected)
+            raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {known}")
+
+
+def _with_splits(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> Scenario:
+    """Choose the split heights of a connected team, once for all robots.
+
+    Raises:
+        ScenarioError: If the graph or the heights do not do.
+    """
+    name, options = plain_name(scenario.algorithm), dict(scenario.algorithm_options)
+    if name not in CONNECTED_ALGORITHMS:
+        return scenario
+    if options.get("tree", "given") == "given" and not graph.is_tree():
+        raise ScenarioError(
+            f"field `world`: a graph of {len(graph.names)} vertices and {len(graph.ends)} edges is no "
+            f'tree, which {name} covers; expected `algorithm_options.tree = "breadth-first"` for a '
+            "spanning tree of it, or a tree"
+        )
+    try:
+        options["splits"] = connected.splits_of(
+            graph,
+            starts[0],
+            scenario.team.robots,
+            "ncocta" if name == "ncocta" else "cocta",
+            convert(options, connected.Options),
+        )
+    except ValueError as error:
+        raise ScenarioError(f"field `algorithm_options.splits`: {error}") from None
+    return replace(scenario, algorithm_options=options)
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:

@@ -10,12 +10,17 @@ has a position besides, and looks in a direction (`protocol.grid`); that directi
 request names another one.
 """
 
-from typing import Literal
-from zlib import decompress
+from collections.abc import Iterable
+from itertools import chain
+from struct import iter_unpack, pack
+from typing import Literal, Self
+from zlib import compress, decompress
 
 from msgspec import Struct
 
-SCHEMA_VERSION = 3
+from protocol.section import OptionValue
+
+SCHEMA_VERSION = 4
 """Version of all messages below; checked when a process joins."""
 
 PAYLOAD_BYTES_MAX = 1 << 20
@@ -224,6 +229,30 @@ class KnownMap(Message, frozen=True):
         return decompress(self.packed)
 
 
+class KnownGraph(Message, frozen=True):
+    """A graph that the robots have a map of, and where they all start.
+
+    Attributes:
+        vertices: how many; their numbers are the places.
+        packed: the two ends of each edge, in the order that numbers the ports, compressed.
+        starts: the vertex at which each robot starts.
+    """
+
+    vertices: int
+    packed: bytes
+    starts: tuple[int, ...]
+
+    @classmethod
+    def of(cls, vertices: int, ends: Iterable[tuple[int, int]], starts: tuple[int, ...]) -> Self:
+        """Pack a graph."""
+        flat = tuple(chain.from_iterable(ends))
+        return cls(vertices, compress(pack(f"<{len(flat)}I", *flat)), starts)
+
+    def ends(self) -> list[tuple[int, int]]:
+        """Return the two ends of each edge."""
+        return [(one, other) for one, other in iter_unpack("<II", decompress(self.packed))]
+
+
 class Briefing(Message, frozen=True, tag="briefing"):
     """What a robot may know beforehand.
 
@@ -241,6 +270,8 @@ class Briefing(Message, frozen=True, tag="briefing"):
         position: row and column of its start, on a grid.
         devices_fail: whether tags may vanish or change by themselves.
         map: the grid, where the robots know it beforehand.
+        graph: the graph, where the robots know it beforehand.
+        lockstep: whether every move takes one time unit.
         nonce: carried by its keys and its token from now on.
     """
 
@@ -248,7 +279,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
     team_size: int
     seed: int
     algorithm: str
-    options: dict[str, bool | int | float | str]
+    options: dict[str, OptionValue]
     capacity_bytes: int
     heartbeat: Literal["global", "reach"]
     blank_tags: bool
@@ -257,6 +288,8 @@ class Briefing(Message, frozen=True, tag="briefing"):
     position: tuple[int, int] | None = None
     devices_fail: bool = False
     map: KnownMap | None = None
+    graph: KnownGraph | None = None
+    lockstep: bool = True
     nonce: str = ""
 
 

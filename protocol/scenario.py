@@ -142,8 +142,14 @@ class ClockSection(Section, frozen=True, kw_only=True):
 class RadioSection(Section, frozen=True, kw_only=True):
     """Who hears whom."""
 
-    reach: Literal["none", "same-place", "radius", "global"] | None = None
-    #: Who hears a message. Default: whom the algorithm's paper assumes; algorithms of users: nobody.
+    reach: Literal["none", "same-place", "adjacent", "radius", "global"] | None = None
+    #: Who hears a message. ``"adjacent"``: robots at most ``hops`` edges (on a grid: moves) away; a
+    #: robot under way is where it left from. Default: whom the algorithm's paper assumes; algorithms
+    #: of users: nobody.
+    hops: Count = 1  #: With ``reach = "adjacent"``: how far it carries.
+    relay: bool | None = None
+    #: With ``reach = "adjacent"``: robots pass on what they hear, so that a message reaches all that
+    #: are connected to its sender by way of others. Default: as the algorithm's paper assumes, else no.
     radius_m: Positive | None = None  #: With ``reach = "radius"``: how far it carries, metres.
     line_of_sight: bool = False  #: With ``reach = "radius"``: obstacles are in the way.
     latency: Annotated[float, Meta(ge=0)] = 0.0  #: Time units from sending to hearing.
@@ -151,8 +157,9 @@ class RadioSection(Section, frozen=True, kw_only=True):
     #: Probability that a hearer misses a message; each misses it on its own.
     duplicate: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     #: Probability that a hearer gets a message twice.
-    heartbeat: Literal["global", "reach"] = "global"
+    heartbeat: Literal["global", "reach"] | None = None
     #: Who gets notice of a loss: everybody, or those who would have heard the lost robot's radio.
+    #: Default: as the algorithm's paper assumes, else everybody.
 
 
 class SensingSection(Section, frozen=True, kw_only=True):
@@ -166,7 +173,7 @@ class SensingSection(Section, frozen=True, kw_only=True):
     #: Default: the least that the algorithm can do with; algorithms of users on grids: ``"three"``.
     range_m: Positive | None = None  #: With ``"radius"`` and ``"line-of-sight"``: how far, metres.
     map: bool | None = None
-    #: Grids: whether robots have a map, and know where all of them start. Default: as the paper of the
+    #: Whether robots have a map, and know where all of them start. Default: as the paper of the
     #: algorithm assumes; algorithms of users: no.
     position: Literal["known", "odometry"] = "known"
     #: Grids: whether a robot knows where it is, or adds up its own moves.
@@ -401,6 +408,11 @@ def _senses_faults(scenario: Scenario) -> Iterator[Misfit]:
         yield "radio.radius_m", radio.radius_m, 'a length if `reach = "radius"`, else nothing'
     if radio.line_of_sight and radio.reach != "radius":
         yield "radio.line_of_sight", True, 'false, or `reach = "radius"`'
+    if radio.reach not in (None, "adjacent"):
+        if radio.hops != 1:
+            yield "radio.hops", radio.hops, '1, or `reach = "adjacent"`'
+        if radio.relay:
+            yield "radio.relay", True, 'false, or `reach = "adjacent"`'
     if inf in (radio.latency, radio.radius_m):
         yield "radio", inf, "finite lengths and times"
     squares = ("radius", "line-of-sight")

@@ -8,7 +8,7 @@ Positive = Annotated[float, Meta(gt=0)]
 Seconds = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=1)]
 Natural = Annotated[int, Meta(ge=0)]
-OptionValue = bool | int | float | str
+OptionValue = bool | int | float | str | tuple[int, ...]
 Start = str | int | tuple[int, int]
 
 Misfit = tuple[str, object, str]

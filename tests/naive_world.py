@@ -300,6 +300,16 @@ class NaiveWorld:
             return []
         if reach == "global":
             return others
+        if reach == "adjacent":
+            hops = self.scenario.radio.hops
+            if not self.scenario.radio.relay:
+                far = self.graph.distances(sender.place)
+                return [other for other in others if far[other.place] <= hops]
+            reached = [sender]
+            for robot in reached:
+                far = self.graph.distances(robot.place)
+                reached += [o for o in others if o not in reached and far[o.place] <= hops]
+            return [other for other in others if other in reached]
         # Who leaves in this very instant has not gone anywhere yet.
         if sender.left < self.now:
             return []
@@ -317,7 +327,7 @@ class NaiveWorld:
         self.lose(robot, "refused")
 
     def lose(self, victim: NaiveRobot, cause: str) -> None:
-        if self.scenario.radio.heartbeat == "global":
+        if self.scenario.radio.heartbeat != "reach":
             hearers = [other for other in self.robots if other is not victim and other.alive()]
         else:
             hearers = self.hearers(victim)

@@ -55,7 +55,7 @@ def test_what_is_not_said_is_default(tmp_path: Path) -> None:
     assert scenario.durability == "process"
     assert scenario.team.speed == 1.0
     assert scenario.clock == ClockSection(mode="lockstep", jitter=0.0, rounds_max=10_000)
-    assert (scenario.radio.reach, scenario.radio.heartbeat) == (None, "global")
+    assert (scenario.radio.reach, scenario.radio.heartbeat) == (None, None)
     assert scenario.device == DeviceSection(capacity_bytes=None)
     assert scenario.device.capacity == 888
     assert (scenario.bookkeeping.database, scenario.bookkeeping.fresh) == (None, True)

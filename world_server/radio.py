@@ -54,6 +54,47 @@ class GlobalRadio:
         return True
 
 
+class AdjacentRadio:
+    """Robots hear each other up to a number of moves; others may pass on what they hear.
+
+    A robot under way is where it left from.
+
+    Attributes:
+        relay: whether others pass on what they hear.
+    """
+
+    def __init__(self, terrain: Terrain, hops: int, *, relay: bool) -> None:
+        self.relay = relay
+        self._terrain = terrain
+        self._hops = hops
+        self._near: dict[int, frozenset[int]] = {}
+
+    def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others
+        """Tell whether ``receiver`` hears ``sender`` at ``time``, without help of others."""
+        return receiver.place in self._near_to(sender.place)
+
+    def relayed(self, sender: Antenna, places: set[int]) -> set[int]:
+        """Return those of the places of other robots that a message gets to from one to the next."""
+        waiting = set(places)
+        ahead = [sender.place]
+        while ahead and waiting:
+            found = self._near_to(ahead.pop()) & waiting
+            waiting -= found
+            ahead += found
+        return places - waiting
+
+    def _near_to(self, place: int) -> frozenset[int]:
+        """Return the places in reach of a place, itself among them."""
+        near = self._near.get(place)
+        if near is None:
+            reached = level = {place}
+            for _ in range(self._hops):
+                level = {far for at in level for far in self._terrain.neighbours(at)} - reached
+                reached = reached | level
+            near = self._near[place] = frozenset(reached)
+        return near
+
+
 class RadiusRadio:
     """Robots hear each other up to a distance; obstacles may be in the way.
 
@@ -73,7 +114,7 @@ class RadiusRadio:
         return not self._line_of_sight or in_sight(self._grid, one, other)
 
 
-Radio = NoRadio | SamePlaceRadio | GlobalRadio | RadiusRadio
+Radio = NoRadio | SamePlaceRadio | GlobalRadio | AdjacentRadio | RadiusRadio
 
 
 def radio_of(scenario: Scenario, terrain: Terrain) -> Radio:
@@ -86,6 +127,8 @@ def radio_of(scenario: Scenario, terrain: Terrain) -> Radio:
             return SamePlaceRadio()
         case "global":
             return GlobalRadio()
+        case "adjacent":
+            return AdjacentRadio(terrain, radio.hops, relay=bool(radio.relay))
         case "radius":
             assert isinstance(terrain, GridTerrain)
             assert radio.radius_m is not None
@@ -122,4 +165,7 @@ A = TypeVar("A", bound=Antenna)
 
 def in_reach(radio: Radio, sender: A, others: Sequence[A], time: float) -> list[A]:
     """Return those of ``others`` that hear ``sender`` now."""
+    if isinstance(radio, AdjacentRadio) and radio.relay:
+        places = radio.relayed(sender, {other.place for other in others})
+        return [other for other in others if other is not sender and other.place in places]
     return [other for other in others if other is not sender and radio.hears(sender, other, time)]

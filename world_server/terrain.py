@@ -5,13 +5,13 @@ of one only by going (Brass et al. 2011, Sec. I). On a grid it steps north, east
 senses cells around it; who steps against a blocked cell comes back by the exit it took.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from zlib import compress
 
 from protocol.errors import ExitError
 from protocol.graph import PortGraph
 from protocol.grid import EAST, NORTH, SOUTH, WEST, Cell, Grid
-from protocol.messages import KnownMap
+from protocol.messages import KnownGraph, KnownMap
 from protocol.scenario import Scenario
 from world_server.sensing import See, seer
 
@@ -35,6 +35,7 @@ class GraphTerrain:
         self.graph = graph
         self._ways = graph.ways
         self._degrees = list(map(len, graph.ways))
+        self._known: KnownGraph | None = None
 
     def __len__(self) -> int:
         """Return the number of places."""
@@ -65,6 +66,16 @@ class GraphTerrain:
     def position(self, place: int) -> Cell:
         """Refuse: the vertices of a graph have no position."""
         raise TypeError(f"vertex {place} has no row and column")
+
+    def neighbours(self, place: int) -> Collection[int]:
+        """Return the places one edge away."""
+        return self.graph.far[place]
+
+    def known_graph(self, starts: tuple[int, ...]) -> KnownGraph:
+        """Return what robots that know the map are told: all of it, and where each of them starts."""
+        if self._known is None:  # it is long, and the same for all
+            self._known = KnownGraph.of(len(self), self.graph.ends, starts)
+        return self._known
 
 
 class GridTerrain:
@@ -115,6 +126,10 @@ class GridTerrain:
     def position(self, place: int) -> Cell:
         """Return row and column of a place."""
         return self.grid.position(place)
+
+    def neighbours(self, place: int) -> Collection[int]:
+        """Return the places one move away."""
+        return {place + step for step, _ in self._exits if not self._blocked[place + step]}
 
     def known_map(self, starts: Sequence[int]) -> KnownMap:
         """Return what robots that know the map are told: all of it, and where each of them starts."""

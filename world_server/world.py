@@ -324,9 +324,12 @@ class World:
         """Return what ``robot`` may know beforehand."""
         scenario, terrain = self._scenario, self._terrain
         radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
-        range_cells, known_map = 0.0, None
-        if isinstance(terrain, GridTerrain) and scenario.sensing.map:
-            known_map = terrain.known_map(self._starts)
+        range_cells, known_map, known_graph = 0.0, None, None
+        if scenario.sensing.map:
+            if isinstance(terrain, GridTerrain):
+                known_map = terrain.known_map(self._starts)
+            else:
+                known_graph = terrain.known_graph(self._starts)
         if isinstance(terrain, GridTerrain) and scenario.sensing.range_m is not None:
             range_cells = in_sub_cells(scenario.sensing.range_m, terrain.grid)
         return Briefing(
@@ -336,7 +339,7 @@ class World:
             scenario.algorithm,
             scenario.algorithm_options,
             self._capacity,
-            radio.heartbeat,
+            radio.heartbeat or "global",
             scenario.bookkeeping.fresh,
             RadioFacts(radio.reach or "none", radio.latency, radio.loss > 0),
             SensingFacts(
@@ -348,6 +351,8 @@ class World:
             terrain.position(self._starts[robot]) if on_grid else None,
             any(fault.word in TAG_WORDS for fault in scenario.faults),
             known_map,
+            known_graph,
+            scenario.clock.mode == "lockstep",
             nonce,
         )
 
@@ -637,15 +642,19 @@ class World:
         see, believed, stride = self._see, self._believed, self._terrain.stride
         in_turn_at, resting_at, first_round = self._in_turn, self._resting, self._round == 0
         sights: list[AnySight | None] = []
+        present_at: dict[int, list[int]] = {}
         for body in wave:
             place = body.place
             in_turn = in_turn_at[place]
             here: tuple[int, ...] = ()
             if len(in_turn) > 1 or place in resting_at:
-                present = {other.robot for other in in_turn if other.state == IN_TURN}
-                present.update(other.robot for other in resting_at.get(place, ()))
-                present.discard(body.robot)
-                here = tuple(sorted(present))
+                if place not in present_at:
+                    present = [other.robot for other in in_turn if other.state == IN_TURN]
+                    present += [other.robot for other in resting_at.get(place, ())]
+                    present_at[place] = sorted(present)
+                present = present_at[place]
+                at = present.index(body.robot)
+                here = (*present[:at], *present[at + 1 :])
             inbox: tuple[tuple[int, bytes], ...] = ()
             losses: tuple[int, ...] = ()
             if body.has_news:

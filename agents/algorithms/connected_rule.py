@@ -42,7 +42,7 @@ Departures from the paper:
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from heapq import heapify, heappop, heapreplace
 from math import inf
 from typing import Literal
@@ -80,11 +80,11 @@ class Team:
 
     Attributes:
         tree: what they cover.
-        team_size: the paper's k.
+        team_size: number of robots that are left; the paper's k.
         drips: whether they follow COCTA, not NCOCTA.
         splits: the split heights, descending.
         top_split: the first of them (h_1); 0 without splits, as no vertex with children is so low.
-        at: the vertex of each robot.
+        at: the vertex of each robot that is left.
         robots_at: the robots at each vertex that has any, ascending.
         inside: number of robots in the subtree of each vertex.
         pending: for each vertex how many of itself and its children are not visited and explored,
@@ -112,15 +112,24 @@ class Team:
     )
 
     def __init__(
-        self, tree: RootedTree, team_size: int, variant: Variant, splits: Sequence[int] = ()
+        self,
+        tree: RootedTree,
+        team_size: int,
+        variant: Variant,
+        splits: Sequence[int] = (),
+        *,
+        at: Mapping[int, int] | None = None,
+        visited: Iterable[int] = (),
     ) -> None:
-        """Put all robots at the root.
+        """Put all robots at the root, or wherever they are.
 
         Args:
             tree: what they are to cover.
             team_size: number of robots.
             variant: ``"ncocta"`` (Alg. 1) or ``"cocta"`` (Alg. 2).
             splits: the split heights, for instance from `choose_splits`.
+            at: the vertex of each robot, by id; default: robots 0, 1, ... at the root.
+            visited: vertices that were visited before.
 
         Raises:
             ValueError: If there is no robot, or as `checked_splits` does.
@@ -132,19 +141,28 @@ class Team:
         self.drips = variant == "cocta"
         self.splits = checked_splits(tree, splits)
         self.top_split = self.splits[0] if self.splits else 0
-        self.at = [tree.root] * team_size
-        self.robots_at = {tree.root: list(range(team_size))}
+        self.at = dict.fromkeys(range(team_size), tree.root) if at is None else dict(at)
+        self.robots_at: dict[int, list[int]] = {}
         self.inside = [0] * len(tree)
-        self.inside[tree.root] = team_size
+        for robot, vertex in sorted(self.at.items()):
+            self.robots_at.setdefault(vertex, []).append(robot)
+            self.inside[vertex] += 1
         self.pending = [1 + len(children) for children in tree.children]
         self.next_child = [0] * len(tree)
-        self.unfinished = [1] * len(tree)
-        for vertex in sorted(range(len(tree)), key=tree.upwards.__getitem__)[:-1]:
-            self.unfinished[tree.parents[vertex]] += self.unfinished[vertex]
-        self.finished = bytearray(len(tree))
         self.visited = bytearray(len(tree))
-        for vertex in self._visit(tree.root):
-            self._judge(vertex)
+        for vertex in {*visited, *self.robots_at}:
+            self._visit(vertex)
+        self.finished = bytearray(len(tree))
+        self.unfinished = [1] * len(tree)
+        for vertex in sorted(range(len(tree)), key=tree.upwards.__getitem__):
+            here = len(self.robots_at.get(vertex, ()))
+            if not self.pending[vertex] and self.inside[vertex] == here:
+                self.finished[vertex] = 1
+                self.unfinished[vertex] -= 1
+            parent = tree.parents[vertex]
+            if parent != NOWHERE:
+                self.inside[parent] += self.inside[vertex]
+                self.unfinished[parent] += self.unfinished[vertex]
 
     @property
     def over(self) -> bool:

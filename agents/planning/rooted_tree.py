@@ -1,6 +1,8 @@
 """Rooted trees, as a team that covers one knows it: parents, children in order, heights."""
 
+from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from protocol.graph import PortGraph
 
@@ -84,24 +86,46 @@ def tree_of_parents(parents: Sequence[int | None]) -> RootedTree:
     return RootedTree(children, roots[0])
 
 
-def tree_of_graph(graph: PortGraph, root: int) -> RootedTree:
-    """Return a graph that is a tree, seen from its root; children are explored in the order of ports.
+class Paths(NamedTuple):
+    """A tree within a graph, and the ports by which one follows its edges.
 
-    Raises:
-        ValueError: If the graph is no tree.
+    Attributes:
+        tree: its vertices are those of the graph.
+        up: for each vertex the port to its parent; `NOWHERE` at the root.
+        down: for each vertex the port at its parent that leads to it; `NOWHERE` at the root.
     """
-    children: list[list[int]] = [[] for _ in graph.far]
-    entry = {root: -1}
-    found = [root]
-    for vertex in found:
-        for port, (far, back) in enumerate(graph.ways[vertex]):
-            if port != entry[vertex]:
-                if far in entry:
-                    raise ValueError(f"no tree: the edge from {vertex} to {far} closes a cycle")
-                entry[far] = back
+
+    tree: RootedTree
+    up: tuple[int, ...]
+    down: tuple[int, ...]
+
+
+def spanning_tree(graph: PortGraph, root: int, *, deep: bool = False) -> Paths:
+    """Return a spanning tree of a graph; children are in the order of ports.
+
+    Args:
+        graph: connected; of a tree all is returned.
+        root: its root.
+        deep: search depth first instead of breadth first.
+    """
+    up = [NOWHERE] * len(graph.names)
+    down = list(up)
+    children: list[list[int]] = [[] for _ in up]
+    found = {root}
+    ahead = deque([(root, iter(enumerate(graph.ways[root])))])
+    while ahead:
+        vertex, ways = ahead[-1] if deep else ahead[0]
+        for port, (far, back) in ways:
+            if far not in found:
+                found.add(far)
+                up[far], down[far] = back, port
                 children[vertex].append(far)
-                found.append(far)
-    return RootedTree(children, root)
+                ahead.append((far, iter(enumerate(graph.ways[far]))))
+                if deep:
+                    break
+        else:
+            ahead.pop() if deep else ahead.popleft()
+    return Paths(RootedTree(children, root), tuple(up), tuple(down))
 
 
 def perfect_tree(arity: int, height: int) -> RootedTree:

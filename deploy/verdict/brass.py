@@ -64,7 +64,7 @@ class Brass:
         self._tree_version = options.get("version", "graph") == "tree"
         self._remembers = options.get("variant", "corrected") == "corrected"
         self._corrected = self._remembers and not self._tree_version
-        all_hear = scenario.radio.heartbeat == "global"
+        all_hear = scenario.radio.heartbeat != "reach"
         devices_fail = any(fault.word in TAG_WORDS for fault in scenario.faults)
         self._for_itself = self._corrected and devices_fail and not (all_hear and self._blank)
         self._guesses = self._corrected and not all_hear and not devices_fail

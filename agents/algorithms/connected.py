@@ -1,0 +1,232 @@
+"""NCOCTA and COCTA as robots run them: a team that covers a known tree and never loses touch.
+
+Sinay, Agmon, Maksimov, Kraus, Peleg 2017, "Maintaining Communication in Multi-Robot Tree Coverage". The
+rule is `connected_rule`; here is what one robot does. Each keeps a copy of the team's state, a `Step`:
+where all are, and what is explored. It is built from the map, from what the robot saw, and from what
+reached it by radio; nobody tells it the truth.
+
+As long as no loss is heard of, every robot knows what the others do, since all follow one rule and,
+in lockstep, moves take one tick. Silence means that all went as agreed. In each tick one robot, each in
+its turn, says a digest of its copy, and every other compares it with its own. Each robot also compares
+who stands beside it with what its copy says. Whoever finds a difference says who differs, and fails.
+
+Assumes: a radio that reaches adjacent places, and all that are connected by others (`relay`); at once,
+without loss. A beacon of each robot that these hear, so that they notice when it falls silent
+(``heartbeat = "reach"``).
+
+Losses, which the paper leaves out: `connected_regroup`.
+
+On the event clock, where moves take different times, robots tell the others when they have arrived; a
+tick is over when all have. Within it a robot leaves its place only when contact is assured: the last
+one to leave a place that others still need, or come to, waits for the first of those who come.
+
+A graph that is no tree: the robots use a spanning tree of it, as the option ``tree`` says.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Literal
+
+from msgspec import Struct
+
+from agents.algorithms.connected_course import Step, first_step
+from agents.algorithms.connected_regroup import is_digest, regroup, regroup_later
+from agents.algorithms.connected_rule import Variant
+from agents.algorithms.connected_splits import choose_splits
+from agents.body import Body
+from agents.planning.rooted_tree import Paths, spanning_tree
+from protocol.errors import AlgorithmError
+from protocol.graph import PortGraph
+from protocol.messages import KnownGraph, Sight, Stop
+
+
+class Options(Struct, frozen=True, forbid_unknown_fields=True):
+    """Options of NCOCTA and COCTA.
+
+    Attributes:
+        splits: the split heights: by the paper's formula, the best of those tried, or as given.
+        tree: what to do about a graph that is no tree: refuse it, or use a spanning tree of it.
+    """
+
+    splits: Literal["paper", "best"] | tuple[int, ...] = "paper"
+    tree: Literal["given", "breadth-first", "depth-first"] = "given"
+
+
+@lru_cache(maxsize=4)
+def paths_of(known: KnownGraph, root: int, tree: str) -> Paths:
+    """Return the tree that a team covers; robots in one process share it.
+
+    Raises:
+        AlgorithmError: If the graph is no tree, and is to be one.
+    """
+    graph = PortGraph([""] * known.vertices, known.ends())
+    if tree == "given" and not graph.is_tree():
+        raise AlgorithmError(
+            'the graph is no tree; expected `algorithm_options.tree = "breadth-first"`, or a tree'
+        )
+    return spanning_tree(graph, root, deep=tree == "depth-first")
+
+
+def splits_of(
+    graph: PortGraph, root: int, team_size: int, variant: Variant, options: Options
+) -> tuple[int, ...]:
+    """Return the split heights of a team; to find the best ones takes long, and is done once.
+
+    Raises:
+        ValueError: If those that are given do not do.
+    """
+    tree = spanning_tree(graph, root, deep=options.tree == "depth-first").tree
+    return choose_splits(tree, team_size, variant, options.splits)
+
+
+class Robot:
+    """A robot and its copy of the team's state.
+
+    Attributes:
+        step: the tick that the team is at.
+        before: the last one that it moved in; the same at the beginning.
+        here: what it saw last.
+        lost: all whose losses it heard of; kept on the event clock.
+    """
+
+    def __init__(self, body: Body, paths: Paths, step: Step, here: Sight) -> None:
+        self._body = body
+        self._paths = paths
+        self._unsaid: tuple[bytes, ...] = ()
+        self.before = self.step = step
+        self.here = here
+        self.lost: set[int] = set()
+
+    # In lockstep.
+
+    async def cover(self) -> None:
+        """Cover the tree with the others, in lockstep, until all are back at the root."""
+        body, paths, robot = self._body, self._paths, self._body.robot
+        parents, up, down = paths.tree.parents, paths.up, paths.down
+        here, before, step = self.here, self.before, self.step
+        while True:
+            if here.losses:
+                step, here = await regroup(body, paths, before, step.at, here)
+            if step.over:
+                return
+            messages = (step.digest,) if step.speaker == robot else ()
+            to = step.moves.get(robot)
+            if to is None:
+                here = await body.wait(messages=messages)
+            else:
+                place = here.place
+                exit_ = up[place] if parents[place] == to else down[to]
+                here = await body.move(exit_, messages=messages)
+            before, step = step, step.next()
+            if not here.losses:
+                self._compare(here, before, step)
+
+    def _compare(self, here: Sight, before: Step, step: Step) -> None:
+        """Compare what is seen and was heard with the own copy of the team's state.
+
+        Raises:
+            AlgorithmError: If a robot differs.
+        """
+        robot = self._body.robot
+        place = step.at[robot]
+        beside = step.robots_at[place]
+        # Nobody stands twice, so a robot more or less is a robot that differs.
+        if here.place != place or len(here.here) + 1 != len(beside):
+            raise AlgorithmError(
+                f"robot {robot} is at {here.place} with {[*here.here]} at tick {step.tick}; by its "
+                f"copy of the team's state it is at {place}, and there are {[*beside]}"
+            )
+        if here.inbox != before.heard and robot != before.speaker:
+            raise AlgorithmError(
+                f"robot {robot} expected the digest of robot {before.speaker} at tick {before.tick} "
+                f"and heard {here.inbox}: their copies of the team's state differ, or they have lost "
+                "touch"
+            )
+
+    # On the event clock.
+
+    async def cover_later(self) -> None:
+        """Cover the tree with the others, on the event clock, until all are back at the root."""
+        while not self.step.over:
+            if not self._hears_of_loss():
+                await self._phase()
+                continue
+            self.before, self.step, self.here, unsaid = await regroup_later(
+                self._body, self._paths, (self.before, self.step), self.lost, self.here
+            )
+            self._unsaid = () if unsaid is None else (unsaid,)
+
+    def _hears_of_loss(self) -> bool:
+        return not self.lost.issuperset(self.here.losses)
+
+    async def _phase(self) -> None:
+        """Do what the step says, and wait until all have done it or a loss is heard of."""
+        step, robot = self.step, self._body.robot
+        to = step.moves.get(robot)
+        first = step.keepers.get(robot)
+        arrived: set[int] = set()
+        while not arrived.issuperset(step.moves):
+            messages, self._unsaid = self._unsaid, ()
+            if to is None or robot in arrived or (first and first.isdisjoint(arrived)):
+                self.here = await self._body.wait_for_news(messages=messages)
+            else:
+                exit_ = self._exit(step.at[robot], to)
+                self.here = await self._body.move(exit_, messages=messages)
+                if self._hears_of_loss():
+                    return  # nobody can have gone on: all wait for this robot
+                arrived.add(robot)
+                self._unsaid = (step.digest,)
+            # Words come before losses: whoever said them has not heard of the loss.
+            arrived.update(self._arrivals())
+            if self._hears_of_loss() and not arrived.issuperset(step.moves):
+                return
+        self.before, self.step = step, step.next()
+
+    def _arrivals(self) -> Iterator[int]:
+        """Yield the robots that have just said that they have arrived.
+
+        Raises:
+            AlgorithmError: If one of them is at another step.
+        """
+        for sender, word in self.here.inbox:
+            if word == self.step.digest:
+                yield sender
+            elif is_digest(word):
+                raise AlgorithmError(
+                    f"robots {self._body.robot} and {sender} differ about the team at tick "
+                    f"{self.step.tick}"
+                )
+
+    def last_words(self) -> Stop:
+        """Return the stop, with what is still to be said."""
+        return self._body.last_words(messages=self._unsaid)
+
+    def _exit(self, place: int, to: int) -> int:
+        """Return the port from a vertex to its parent or to a child."""
+        paths = self._paths
+        return paths.up[place] if paths.tree.parents[place] == to else paths.down[to]
+
+
+async def ncocta(body: Body, options: Options) -> Stop:
+    """Cover a tree, always connected, by Algorithm 1."""
+    return await _cover(body, options, "ncocta")
+
+
+async def cocta(body: Body, options: Options) -> Stop:
+    """Cover a tree, always connected, by Algorithm 2."""
+    return await _cover(body, options, "cocta")
+
+
+async def _cover(body: Body, options: Options, variant: Variant) -> Stop:
+    known = body.briefing.graph
+    if known is None or len(set(known.starts)) > 1:
+        raise AlgorithmError("connected coverage needs `sensing.map = true` and one start for all")
+    paths = paths_of(known, known.starts[0], options.tree)
+    splits = choose_splits(paths.tree, body.team_size, variant, options.splits)
+    step = first_step(paths.tree, body.team_size, variant, splits)
+    robot = Robot(body, paths, step, await body.look())
+    if body.briefing.lockstep:
+        await robot.cover()
+    else:
+        await robot.cover_later()
+    return robot.last_words()
