@@ -130,6 +130,7 @@ def print_verdict(result: Result) -> None:
         ("moves", str(result.steps)),
         ("extra visits", _extra(result)),
         ("largest tag", f"{result.device_bytes_max} bytes" if result.device_bytes_max else None),
+        ("messages", _messages(result)),
         ("real time", _real_time(result)),
         ("trace", result.trace_sha256[:16]),
     ):
@@ -184,6 +185,13 @@ def _extra(result: Result) -> str | None:
     if result.visits_extra is None:
         return None
     return f"{result.visits_extra}, {100 * result.visits_extra / max(1, result.covered):.0f} %"
+
+
+def _messages(result: Result) -> str | None:
+    """Return how much was said by radio, if anything."""
+    if not result.messages:
+        return None
+    return f"{result.messages}, {result.message_bytes} bytes"
 
 
 def _some(places: Sequence[PlaceName]) -> str:

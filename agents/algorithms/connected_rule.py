@@ -39,6 +39,8 @@ Departures from the paper:
 - The logarithm in the number of splits (Sec. 4.1) is rounded down, as the paper's examples need it.
 - More robots may take longer with COCTA, as they allow a split that hurts. So `choose_splits` can also
   try what the team is large enough for, on the tree itself.
+
+Beyond the paper: a *load* (`SparingTick`), for which `agents.planning.connected_best` looks.
 """
 
 from collections import Counter
@@ -84,7 +86,9 @@ class Team:
         drips: whether they follow COCTA, not NCOCTA.
         splits: the split heights, descending.
         top_split: the first of them (h_1); 0 without splits, as no vertex with children is so low.
-        at: the vertex of each robot that is left.
+        load: how many robots a subtree takes, in sixteenths of its unfinished vertices; None: COCTA.
+        trails: with a load: the vertices on the longest way down from each vertex, itself included.
+        at: the vertex of each robot that is left, by ascending id.
         robots_at: the robots at each vertex that has any, ascending.
         inside: number of robots in the subtree of each vertex.
         pending: for each vertex how many of itself and its children are not visited and explored,
@@ -100,12 +104,14 @@ class Team:
         "drips",
         "finished",
         "inside",
+        "load",
         "next_child",
         "pending",
         "robots_at",
         "splits",
         "team_size",
         "top_split",
+        "trails",
         "tree",
         "unfinished",
         "visited",
@@ -120,6 +126,7 @@ class Team:
         *,
         at: Mapping[int, int] | None = None,
         visited: Iterable[int] = (),
+        load: int | None = None,
     ) -> None:
         """Put all robots at the root, or wherever they are.
 
@@ -130,18 +137,25 @@ class Team:
             splits: the split heights, for instance from `choose_splits`.
             at: the vertex of each robot, by id; default: robots 0, 1, ... at the root.
             visited: vertices that were visited before.
+            load: departs from COCTA: see `SparingTick`.
 
         Raises:
-            ValueError: If there is no robot, or as `checked_splits` does.
+            ValueError: If there is no robot, or a load that is not COCTA's or none at all, or as
+                `checked_splits` does.
         """
         if team_size < 1:
             raise ValueError("a team has at least one robot")
+        if load is not None and (variant != "cocta" or load < 1):
+            raise ValueError(f"a load is at least 1, and for COCTA: {load} for {variant}")
         self.tree = tree
         self.team_size = team_size
         self.drips = variant == "cocta"
         self.splits = checked_splits(tree, splits)
         self.top_split = self.splits[0] if self.splits else 0
-        self.at = dict.fromkeys(range(team_size), tree.root) if at is None else dict(at)
+        self.load = load
+        self.trails = [] if load is None else trails(tree)
+        everybody_at_root = dict.fromkeys(range(team_size), tree.root)
+        self.at = everybody_at_root if at is None else dict(sorted(at.items()))
         self.robots_at: dict[int, list[int]] = {}
         self.inside = [0] * len(tree)
         for robot, vertex in sorted(self.at.items()):
@@ -242,6 +256,16 @@ class Team:
                 vertex = self.tree.parents[vertex]
 
 
+def trails(tree: RootedTree) -> list[int]:
+    """Return the number of vertices on the longest way down from each vertex, itself included."""
+    longest = [1] * len(tree)
+    for vertex in sorted(range(len(tree)), key=tree.upwards.__getitem__):
+        parent = tree.parents[vertex]
+        if parent != NOWHERE:
+            longest[parent] = max(longest[parent], longest[vertex] + 1)
+    return longest
+
+
 # The rule.
 
 
@@ -254,7 +278,7 @@ def next_moves(team: Team) -> Moves:
     Paper:
         Sinay et al. 2017, Alg. 1 (NCOCTA) and Alg. 2 (COCTA). Departures: see the top.
     """
-    tick = Tick(team)
+    tick = Tick(team) if team.load is None else SparingTick(team)
     lowest_first = sorted(team.robots_at, key=team.tree.upwards.__getitem__)
     for vertex in lowest_first:
         if vertex != team.tree.root:
@@ -418,6 +442,37 @@ class Tick:
             self.moves[robot] = to
         self.left[vertex] = last - number
         self.arrived[to] += number
+
+
+class SparingTick(Tick):
+    """COCTA with a load: it sends fewer robots down, and all who have no work come up again.
+
+    A subtree takes ``load`` sixteenths as many robots as it has unfinished vertices, but as many as it
+    takes to reach its lowest leaf. One robot for each vertex, as in COCTA, would stand guard half of
+    the time; of two that share three vertices, each guards while the other one visits. Who finds
+    no work at a vertex goes up, not only at a split.
+
+    Connected at every tick, from any configuration: a vertex is left by its last robot only as in COCTA.
+    That the run ends is not known for a load: the robots might go up and down for ever.
+    """
+
+    __slots__ = ()
+
+    def room(self, vertex: int) -> float:
+        """Return how many more robots may go into a subtree."""
+        team = self.team
+        assert team.load is not None
+        work = team.unfinished[vertex] - self.just_finished[vertex]
+        most = max(min(work, team.trails[vertex]), -(-work * team.load // 16))
+        return max(0, most - self.robots_in(vertex))
+
+    def go_up(self, vertex: int) -> None:
+        """Send robots to the parent, also those for whom there is no work here."""
+        if not self.team.pending[vertex]:
+            super().go_up(vertex)
+        else:
+            spare = self.left[vertex] - self.guard(vertex)
+            self.rise(vertex, self.surplus(vertex, spare))
 
 
 def ticks_taken(team: Team, limit: int) -> int | None:

@@ -121,6 +121,8 @@ class BaseLedger(ABC):
         first_visits: for each visited place the robot that came first, and when.
         coverage_time: time of the last first visit.
         device_bytes_max: size of the largest tag that was written.
+        messages: number of radio messages that were sent.
+        message_bytes: their sizes, added up.
         tag_faults: each failure of a device: when, at which place, and what became of it.
         checksums: whether devices notice that their tag was corrupted.
         last_time: time of the last event.
@@ -149,6 +151,8 @@ class BaseLedger(ABC):
         "first_violation",
         "first_visits",
         "last_time",
+        "message_bytes",
+        "messages",
         "robots",
         "starts",
         "tag_faults",
@@ -192,6 +196,8 @@ class BaseLedger(ABC):
             self.first_visits.setdefault(start, (robot, 0.0))
         self.coverage_time = 0.0
         self.device_bytes_max = 0
+        self.messages = 0
+        self.message_bytes = 0
         self.tag_faults: list[tuple[float, int, str]] = []
         self.checksums = scenario is None or scenario.device.checksum
         # Which scheduled failure each one may be, and which it is taken for, by their numbers.
@@ -262,9 +268,10 @@ class BaseLedger(ABC):
             track.dart = -1
             self._cross(robot, track, dart, time)
 
-        tag = what.tag
-        if tag is not None and len(tag) > self.device_bytes_max:
+        if (tag := what.tag) is not None and len(tag) > self.device_bytes_max:
             self._grow(event, len(tag))
+        if what.messages:
+            self._count(what.messages)
 
         if type(what) is Move:
             exit_ = what.exit
@@ -275,8 +282,7 @@ class BaseLedger(ABC):
                 track.earliest = track.latest = time
                 return
             track.dart = dart
-            track.place = self._far[dart]
-            track.entry = self._back[dart]
+            track.place, track.entry = self._far[dart], self._back[dart]
             duration = track.durations[dart]
             track.earliest = time + duration * self._jitter_low
             track.latest = time + duration * self._jitter_high
@@ -290,6 +296,10 @@ class BaseLedger(ABC):
             track.stopped_at = time
         else:
             track.earliest = track.latest = time
+
+    def _count(self, messages: Sequence[bytes]) -> None:
+        self.messages += len(messages)
+        self.message_bytes += sum(map(len, messages))
 
     def _open_wave(self, event: Event, time: float) -> None:
         """Go to the wave of ``event``, which must not be an earlier one."""

@@ -15,6 +15,7 @@ from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
 from deploy.verdict.mstc import Mstc
+from deploy.verdict.sinay import Sinay
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
@@ -124,6 +125,8 @@ class Result(Struct, frozen=True, kw_only=True):
         trace_sha256: SHA-256 of the trace.
         restarts: of each infrastructure process.
         device_bytes_max: size of the largest tag.
+        messages: radio messages sent, all robots; each counts once, however many hear it.
+        message_bytes: their sizes, added up.
         per_robot: what became of each robot.
         stalled: who waited where, if the run stalled.
         errors: robots that ended loudly.
@@ -156,6 +159,8 @@ class Result(Struct, frozen=True, kw_only=True):
     trace_sha256: str
     restarts: dict[str, int]
     device_bytes_max: int
+    messages: int
+    message_bytes: int
     per_robot: list[RobotResult]
     stalled: list[Waiting]
     errors: list[RobotError]
@@ -178,6 +183,8 @@ def monitors_of(scenario: Scenario, ledger: AnyLedger) -> list[Monitor]:
     match plain_name(scenario.algorithm), ledger:
         case "mr-dfs", Ledger():
             return [Brass(scenario, ledger)]
+        case "ncocta" | "cocta" | "cocta-best", Ledger():
+            return [Sinay(scenario, ledger)]
         case "ormstc", GridLedger():
             return [Agmon(scenario, ledger)]
         case "mstc", GridLedger():
@@ -258,6 +265,8 @@ def judge(
         trace_sha256=trace_sha256,
         restarts=dict(restarts or {}),
         device_bytes_max=ledger.device_bytes_max,
+        messages=ledger.messages,
+        message_bytes=ledger.message_bytes,
         per_robot=_robots(ledger, shares, status),
         stalled=[Waiting(robot, _name(ledger, robot)) for robot in waiting],
         errors=_errors(refusals or {}, failures or {}),
