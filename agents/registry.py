@@ -21,6 +21,7 @@ from protocol.section import OptionValue
 
 ALGORITHMS: dict[str, Any] = {
     "cocta": connected.cocta,
+    "cocta-best": connected.cocta_best,
     "mr-dfs": mr_dfs.mr_dfs,
     "mstc": mstc.mstc,
     "ncocta": connected.ncocta,
@@ -43,13 +44,14 @@ _CONNECTED = {
 
 ASSUMED: dict[str, dict[str, Any]] = {
     "cocta": _CONNECTED,
+    "cocta-best": _CONNECTED,
     "mstc": {"radio.reach": "global", "sensing.mode": "ahead", "sensing.map": True},
     "ncocta": _CONNECTED,
     "ormstc": {"radio.reach": "global", "sensing.mode": "ahead"},
 }
 """What an algorithm's paper assumes, for fields that a scenario leaves out."""
 
-CONNECTED_ALGORITHMS = frozenset({"cocta", "ncocta"})
+CONNECTED_ALGORITHMS = frozenset({"cocta", "cocta-best", "ncocta"})
 """Those whose team stays connected by radio on a known tree."""
 
 CELL_ALGORITHMS = frozenset({"mstc", "ormstc"})

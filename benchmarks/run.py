@@ -15,6 +15,7 @@ BENCHMARKS = (
     "processes",
     "planning",
     "connected",
+    "connected_best",
     "connected_robots",
 )
 

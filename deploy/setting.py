@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from msgspec import Struct, convert
+from msgspec import Struct, convert, to_builtins
 from msgspec.structs import replace
 
-from agents.algorithms import connected
+from agents.algorithms.connected import BestOptions, Options, planned
+from agents.algorithms.connected_rule import Variant
 from agents.body import Algorithm
 from agents.registry import (
     ALGORITHMS,
@@ -78,7 +79,7 @@ def prepare(scenario: Scenario) -> Setting:
     found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
-        scenario = _with_splits(scenario, found.ground, found.starts)
+        scenario = _with_plan(scenario, found.ground, found.starts)
     _check_database(scenario)
     scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
     notes = (*notes, *found.notes)
@@ -203,32 +204,29 @@ def _check_assumed(scenario: Scenario) -> None:
             raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {known}")
 
 
-def _with_splits(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> Scenario:
-    """Choose the split heights of a connected team, once for all robots.
+def _with_plan(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> Scenario:
+    """Plan for a connected team, once for all robots.
 
     Raises:
-        ScenarioError: If the graph or the heights do not do.
+        ScenarioError: If the graph or the split heights do not do.
     """
-    name, options = plain_name(scenario.algorithm), dict(scenario.algorithm_options)
+    name = plain_name(scenario.algorithm)
     if name not in CONNECTED_ALGORITHMS:
         return scenario
-    if options.get("tree", "given") == "given" and not graph.is_tree():
+    best = name == "cocta-best"
+    options = convert(scenario.algorithm_options, BestOptions if best else Options)
+    if options.tree == "given" and not graph.is_tree():
         raise ScenarioError(
             f"field `world`: a graph of {len(graph.names)} vertices and {len(graph.ends)} edges is no "
             f'tree, which {name} covers; expected `algorithm_options.tree = "breadth-first"` for a '
             "spanning tree of it, or a tree"
         )
+    variant: Variant = "ncocta" if name == "ncocta" else "cocta"
     try:
-        options["splits"] = connected.splits_of(
-            graph,
-            starts[0],
-            scenario.team.robots,
-            "ncocta" if name == "ncocta" else "cocta",
-            convert(options, connected.Options),
-        )
+        options = planned(graph, starts[0], scenario.team.robots, options, variant)
     except ValueError as error:
         raise ScenarioError(f"field `algorithm_options.splits`: {error}") from None
-    return replace(scenario, algorithm_options=options)
+    return replace(scenario, algorithm_options=to_builtins(options))
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:

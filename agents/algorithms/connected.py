@@ -25,16 +25,18 @@ A graph that is no tree: the robots use a spanning tree of it, as the option ``t
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from agents.algorithms.connected_course import Step, first_step
 from agents.algorithms.connected_regroup import is_digest, regroup, regroup_later
 from agents.algorithms.connected_rule import Variant
 from agents.algorithms.connected_splits import choose_splits
 from agents.body import Body
-from agents.planning.rooted_tree import Paths, spanning_tree
+from agents.planning.connected_best import plan_connected
+from agents.planning.rooted_tree import Paths, order_of, reordered, spanning_tree
 from protocol.errors import AlgorithmError
 from protocol.graph import PortGraph
 from protocol.messages import KnownGraph, Sight, Stop
@@ -52,8 +54,42 @@ class Options(Struct, frozen=True, forbid_unknown_fields=True):
     tree: Literal["given", "breadth-first", "depth-first"] = "given"
 
 
+class BestOptions(Options, frozen=True, forbid_unknown_fields=True):
+    """Options of COCTA by a better plan, which the last three are; they are found if not given.
+
+    Attributes:
+        effort: how many ticks are played in search of a plan.
+        load: as of `connected_rule.SparingTick`; 0: none.
+        order: siblings in the order in which they are explored, where that is not the order of ports.
+    """
+
+    splits: Literal["best"] | tuple[int, ...] = "best"
+    effort: Annotated[int, Meta(ge=1)] = 20_000
+    load: Annotated[int, Meta(ge=0)] = 0
+    order: tuple[int, ...] = ()
+
+
+AnyOptions = Options | BestOptions
+
+
+def planned(
+    graph: PortGraph, root: int, team_size: int, options: AnyOptions, variant: Variant
+) -> AnyOptions:
+    """Return options with the plan filled in; that takes long, and is done once for all robots.
+
+    Raises:
+        ValueError: If the split heights that are given do not do.
+    """
+    tree = spanning_tree(graph, root, deep=options.tree == "depth-first").tree
+    if isinstance(options, BestOptions) and options.splits == "best":
+        plan = plan_connected(tree, team_size, options.effort)
+        order = order_of(plan.tree, tree)
+        return replace(options, splits=plan.splits, load=plan.load or 0, order=order)
+    return replace(options, splits=choose_splits(tree, team_size, variant, options.splits))
+
+
 @lru_cache(maxsize=4)
-def paths_of(known: KnownGraph, root: int, tree: str) -> Paths:
+def paths_of(known: KnownGraph, root: int, tree: str, order: tuple[int, ...] = ()) -> Paths:
     """Return the tree that a team covers; robots in one process share it.
 
     Raises:
@@ -64,19 +100,8 @@ def paths_of(known: KnownGraph, root: int, tree: str) -> Paths:
         raise AlgorithmError(
             'the graph is no tree; expected `algorithm_options.tree = "breadth-first"`, or a tree'
         )
-    return spanning_tree(graph, root, deep=tree == "depth-first")
-
-
-def splits_of(
-    graph: PortGraph, root: int, team_size: int, variant: Variant, options: Options
-) -> tuple[int, ...]:
-    """Return the split heights of a team; to find the best ones takes long, and is done once.
-
-    Raises:
-        ValueError: If those that are given do not do.
-    """
-    tree = spanning_tree(graph, root, deep=options.tree == "depth-first").tree
-    return choose_splits(tree, team_size, variant, options.splits)
+    paths = spanning_tree(graph, root, deep=tree == "depth-first")
+    return paths._replace(tree=reordered(paths.tree, order))
 
 
 class Robot:
@@ -217,13 +242,27 @@ async def cocta(body: Body, options: Options) -> Stop:
     return await _cover(body, options, "cocta")
 
 
-async def _cover(body: Body, options: Options, variant: Variant) -> Stop:
+async def cocta_best(body: Body, options: BestOptions) -> Stop:
+    """Cover a tree, always connected, by the best plan found (`agents.planning.connected_best`)."""
+    return await _cover(body, options, "cocta")
+
+
+async def _cover(body: Body, options: AnyOptions, variant: Variant) -> Stop:
     known = body.briefing.graph
     if known is None or len(set(known.starts)) > 1:
         raise AlgorithmError("connected coverage needs `sensing.map = true` and one start for all")
-    paths = paths_of(known, known.starts[0], options.tree)
-    splits = choose_splits(paths.tree, body.team_size, variant, options.splits)
-    step = first_step(paths.tree, body.team_size, variant, splits)
+    root = known.starts[0]
+    if isinstance(options.splits, str):
+        graph = PortGraph([""] * known.vertices, known.ends())
+        options = planned(graph, root, body.team_size, options, variant)
+    splits = options.splits
+    assert not isinstance(splits, str)
+    order: tuple[int, ...] = ()
+    load = None
+    if isinstance(options, BestOptions):
+        order, load = options.order, options.load or None
+    paths = paths_of(known, root, options.tree, order)
+    step = first_step(paths.tree, body.team_size, variant, splits, load)
     robot = Robot(body, paths, step, await body.look())
     if body.briefing.lockstep:
         await robot.cover()

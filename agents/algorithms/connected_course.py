@@ -6,9 +6,9 @@ run in one process share what is the same for all of them, since a step depends 
 and on what was agreed. Steps that nobody holds any more are forgotten.
 
 A team that has lost robots goes on from wherever it is, with split heights that it is large enough for
-(`Step.regrouped`). The rule keeps any connected team connected, but the robots may then stand where
-the rule has no move for them. Then they gather: all go up to the highest of them, and from there on
-the team moves without splits, which always comes to an end.
+and without a load (`Step.regrouped`). The rule keeps any connected team connected, but the robots may
+then stand where the rule has no move for them. Then they gather: all go up to the highest of them, and
+from there on the team moves without splits, which always comes to an end.
 """
 
 from collections.abc import Iterable, Mapping
@@ -174,20 +174,24 @@ def _marked(bits: bytes | bytearray) -> list[int]:
     return [number for number, bit in enumerate(bits) if bit]
 
 
-_first_steps: WeakValueDictionary[tuple[int, int, Variant, tuple[int, ...]], Step] = (
-    WeakValueDictionary()
-)
+_first_steps: WeakValueDictionary[tuple[object, ...], Step] = WeakValueDictionary()
 
 
-def first_step(tree: RootedTree, team_size: int, variant: Variant, splits: tuple[int, ...]) -> Step:
+def first_step(
+    tree: RootedTree,
+    team_size: int,
+    variant: Variant,
+    splits: tuple[int, ...],
+    load: int | None = None,
+) -> Step:
     """Return the first step of a team whose robots are all at the root.
 
     Raises:
         ValueError: As `Team` does.
     """
-    key = (id(tree), team_size, variant, splits)
+    key = (id(tree), team_size, variant, splits, load)
     step = _first_steps.get(key)
     if step is None or step._course.team.tree is not tree:  # noqa: SLF001  of this module
-        course = _Course(Team(tree, team_size, variant, splits), variant, splits)
-        step = _first_steps[key] = Step(course, (0, 0), b"", ())
+        team = Team(tree, team_size, variant, splits, load=load)
+        step = _first_steps[key] = Step(_Course(team, variant, splits), (0, 0), b"", ())
     return step

@@ -452,8 +452,8 @@ class SparingTick(Tick):
     the time; of two that share three vertices, each guards while the other one visits. Who finds
     no work at a vertex goes up, not only at a split.
 
-    Connected at every tick, from any configuration: a vertex is left by its last robot only as in COCTA.
-    That the run ends is not known for a load: the robots might go up and down for ever.
+    Connected at every tick, from any configuration: the last robot of a vertex leaves it only as in
+    COCTA. That the run ends is not known for a load: the robots might go up and down for ever.
     """
 
     __slots__ = ()

@@ -128,6 +128,21 @@ def spanning_tree(graph: PortGraph, root: int, *, deep: bool = False) -> Paths:
     return Paths(RootedTree(children, root), tuple(up), tuple(down))
 
 
+def order_of(tree: RootedTree, usual: RootedTree) -> tuple[int, ...]:
+    """Return the siblings of a tree whose order is not the usual one, in their order."""
+    pairs = zip(tree.children, usual.children, strict=True)
+    return tuple(child for children, before in pairs if children != before for child in children)
+
+
+def reordered(tree: RootedTree, order: Sequence[int]) -> RootedTree:
+    """Return a tree with some siblings in another order; `order_of` gives it back."""
+    if not order:
+        return tree
+    place = {vertex: at for at, vertex in enumerate(order)}
+    children = [sorted(each, key=lambda child: place.get(child, -1)) for each in tree.children]
+    return RootedTree(children, tree.root)
+
+
 def perfect_tree(arity: int, height: int) -> RootedTree:
     """Return the perfect N-ary tree; the children of v are N v + 1, ..., N v + N (Sec. 3)."""
     inner = vertices_of_perfect(arity, height - 1)
