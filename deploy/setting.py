@@ -28,6 +28,7 @@ from protocol.errors import ScenarioError
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
+from protocol.messages import PAYLOAD_BYTES_MAX, KnownGraph
 from protocol.scenario import Scenario
 
 SQLITE = b"SQLite format 3\0"
@@ -36,6 +37,10 @@ SQLITE = b"SQLite format 3\0"
 
 SENSING_MOST = 64
 """No robot sees farther, sub-cells: a sight of more is too much for a message, and for us."""
+
+
+MAP_BYTES_MOST = PAYLOAD_BYTES_MAX // 2
+"""A map of a graph that takes more does not fit into a briefing with all the rest."""
 
 
 class Setting(Struct, frozen=True):
@@ -79,6 +84,7 @@ def prepare(scenario: Scenario) -> Setting:
     found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
+        _check_size(scenario, found.ground)
         scenario = _with_plan(scenario, found.ground, found.starts)
     _check_database(scenario)
     scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
@@ -202,6 +208,18 @@ def _check_assumed(scenario: Scenario) -> None:
         if found != expected:
             known = "nothing" if expected is None else repr(expected)
             raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {known}")
+
+
+def _check_size(scenario: Scenario, graph: PortGraph) -> None:
+    """Refuse a map that is too large to be told."""
+    if not scenario.sensing.map or 8 * len(graph.ends) <= MAP_BYTES_MOST:
+        return
+    size = len(KnownGraph.of(len(graph.names), graph.ends, ()).packed)
+    if size > MAP_BYTES_MOST:
+        raise ScenarioError(
+            f"field `world`: a map of {len(graph.ends)} edges takes {size} bytes in the briefing, "
+            f"expected at most {MAP_BYTES_MOST}; take a smaller graph, or `sensing.map = false`"
+        )
 
 
 def _with_plan(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> Scenario:
