@@ -47,7 +47,7 @@ def perfect_cases() -> Iterator[Case]:
 
 
 def random_tree(vertices: int, reach: int | None) -> RootedTree:
-    """Return a tree whose parents have numbers lower by no more than the reach: the less, the deeper."""
+    """Return a tree; parents have numbers lower by no more than the reach: the less, the deeper."""
     rng = spawn(vertices, "tree", reach or vertices)
     lowest = [max(0, child - (reach or vertices)) for child in range(vertices)]
     return tree_of_parents(
@@ -122,9 +122,9 @@ def compare(title: str, cases: Iterator[Case], effort: int) -> None:
             )
         )
     if rows:
-        head = "n k NCOCTA COCTA best-splits cocta-best optimum bound gain cost".split()
+        head = ("n", "k", "NCOCTA", "COCTA", "best-splits", "cocta-best", "optimum", "bound")
         note = f"gain over COCTA's best splits: {geometric_mean(saved):.2f} (geometric mean)"
-        print_table(title, ("", *head), rows, note)
+        print_table(title, ("", *head, "gain", "cost"), rows, note)
 
 
 def main() -> None:

@@ -148,20 +148,23 @@ def _parser() -> argparse.ArgumentParser:
         help="play a paper's experiments, with figures and tables",
         description="Play the experiments of a paper, print tables, and write figures and numbers.",
     )
-    paper.add_argument("name", metavar="NAME", help="the paper: mstc or ormstc")
+    paper.add_argument(
+        "name", metavar="NAME", help="the paper: connected, mstc, ormstc or parent-child"
+    )
     paper.add_argument(
         "--only",
         action="append",
         default=[],
         metavar="PART",
-        help="play one part, such as figure13 or losses of ormstc, figure6 of mstc; may be given often",
+        help="play one part, such as figure13 of ormstc, figure6 of mstc, table of connected; may be "
+        "given often",
     )
     paper.add_argument("--quick", action="store_true", help="play a few runs of each part")
     paper.add_argument(
         "--inputs",
         type=_count,
         metavar="N",
-        help="worlds and starts: of losses of ormstc (100), of mstc (300)",
+        help="how many are drawn: losses of ormstc (100), mstc (300), general trees of connected",
     )
     paper.add_argument("--out", type=Path, metavar="DIR", help="folder for files (runs/paper-NAME)")
     paper.add_argument("--json", action="store_true", help="print the numbers as one JSON object")
@@ -187,6 +190,10 @@ a tree, and covers all free sub-cells that can be reached.
 When its part is covered a robot goes home by a short way over sub-cells that are covered by then, so
 that the way home covers nothing: coverage time is the same with and without --open. Times and lengths
 are moves. Robots share one connected part of the map.
+
+The algorithm parent-child plans for --robots children (5) that move in sight of a parent robot only:
+where that stands, and every move of all of them. A character is a vertex; of maps with a scale a
+square of --spacing is one.
 """
 
 PLAN_EXAMPLES = """\
@@ -195,6 +202,7 @@ examples:
   canopy plan office.txt --starts "0,0 0,9 17,4" --algorithm create-tree+nb-mstc --json
   canopy plan office.txt --starts "0,0 0,9" --tree my_tree.txt --algorithm opt-mstc
   canopy plan office.txt --robots 3 --all-bridges --paths walks.json
+  canopy plan office.txt --algorithm parent-child --r-los 2.5 --spacing 0.5 --picture plan.png
 """
 
 
@@ -217,7 +225,7 @@ def _add_plan(commands: "argparse._SubParsersAction[_Parser]") -> None:
         "--algorithm",
         default="create-tree+opt-mstc",
         metavar="NAME",
-        help="TREE+SPLIT, or best (create-tree+opt-mstc)",
+        help="TREE+SPLIT, best, or parent-child (create-tree+opt-mstc)",
     )
     plan.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is drawn (0)")
     plan.add_argument(
@@ -256,6 +264,12 @@ def _add_plan(commands: "argparse._SubParsersAction[_Parser]") -> None:
     plan.add_argument(
         "--open", action="store_true", help="let walks end where the last cell is covered"
     )
+    for option, kind, name, text in (
+        ("--r-los", float, "M", "how far the parent sees, metres (2.5)"),
+        ("--spacing", float, "M", "from vertex to vertex, metres (0.5)"),
+        ("--los-cells-squared", int, "N", "how far instead: largest squared distance in vertices"),
+    ):
+        plan.add_argument(option, type=kind, metavar=name, help=f"for parent-child: {text}")
     plan.add_argument(
         "--paths",
         type=Path,
@@ -402,21 +416,34 @@ def _map(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _check_written(arguments: argparse.Namespace) -> None:
+    """Refuse files that a plan cannot be written to, before anything is planned."""
+    for option in ("paths", "picture"):
+        path = getattr(arguments, option)
+        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+            raise InputError(f"--{option} {path}: expected a file in a folder that exists")
+        is_there = path is not None and path.exists() and arguments.map.exists()
+        if is_there and path.samefile(arguments.map):
+            raise InputError(f"--{option} {path}: is the map itself, expected another file")
+
+
 def _plan(arguments: argparse.Namespace) -> int:
     import msgspec
 
+    if arguments.algorithm == "parent-child":
+        from deploy.plan_parent_child import lines_of
+
+        _check_written(arguments)
+        for line in lines_of(arguments):
+            print(line)
+        return 0
     from deploy.plan import Wanted, describe, draw_plan, plan, write_paths
     from world_server.maps import GridFile, read_map
 
     found = read_map(arguments.map, cell_m=arguments.cell_m, resolution_m=arguments.resolution_m)
     if not isinstance(found, GridFile):
         raise InputError(f"{arguments.map}: is a graph, expected a grid")
-    for option in ("paths", "picture"):  # refuse before anything is planned
-        path = getattr(arguments, option)
-        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise InputError(f"--{option} {path}: expected a file in a folder that exists")
-        if path is not None and path.exists() and path.samefile(arguments.map):
-            raise InputError(f"--{option} {path}: is the map itself, expected another file")
+    _check_written(arguments)
     wanted = Wanted(
         algorithm=arguments.algorithm,
         robots=arguments.robots,

@@ -35,7 +35,7 @@ from agents.planning.rooted_tree import (
     NOWHERE,
     RootedTree,
     perfect_tree,
-    tree_of_graph,
+    spanning_tree,
     tree_of_parents,
     vertices_of_perfect,
     without,
@@ -335,27 +335,37 @@ def test_heights_are_counted_from_the_root() -> None:
 
 def test_children_by_number_or_by_port() -> None:
     graph = PortGraph("abcd", [(1, 3), (2, 1), (1, 0)])
-    assert tree_of_graph(graph, 1).children == ((), (3, 2, 0), (), ())
-    assert tree_of_graph(graph, 3).children == ((), (2, 0), (), (1,))
+    assert spanning_tree(graph, 1).tree.children == ((), (3, 2, 0), (), ())
+    assert spanning_tree(graph, 3).tree.children == ((), (2, 0), (), (1,))
     assert tree_of_parents([1, None, 1, 1]).children == ((), (0, 2, 3), (), ())
 
 
 @given(trees())
 def test_a_graph_gives_its_tree(tree: RootedTree) -> None:
     edges = [(tree.parents[vertex], vertex) for vertex in range(1, len(tree))]
-    again = tree_of_graph(PortGraph([""] * len(tree), edges), 0)
+    again = spanning_tree(PortGraph([""] * len(tree), edges), 0).tree
     assert (again.children, again.heights) == (tree.children, tree.heights)
+
+
+@pytest.mark.parametrize("deep", [False, True])
+@pytest.mark.parametrize(
+    "edges", [[(0, 1), (1, 2), (2, 0)], [(0, 1), (0, 1), (1, 2)], [(0, 0), (0, 1), (1, 2)]]
+)
+def test_a_graph_with_cycles_has_spanning_trees(edges: list[tuple[int, int]], deep: bool) -> None:
+    graph = PortGraph("abc", edges)
+    paths = spanning_tree(graph, 0, deep=deep)
+    assert paths.tree.height == (2 if deep or (2, 0) not in edges else 1)
+    for vertex in (1, 2):
+        parent = paths.tree.parents[vertex]
+        assert graph.ways[vertex][paths.up[vertex]] == (parent, paths.down[vertex])
 
 
 def test_refuses_what_is_no_tree() -> None:
     for parents in ([], [None, None], [1, 0], [None, 2, 1], [None, 7]):
         with pytest.raises(ValueError, match=r"root|no vertex"):
             tree_of_parents(parents)
-    for edges in ([(0, 1), (1, 2), (2, 0)], [(0, 1), (0, 1), (1, 2)], [(0, 0), (0, 1), (1, 2)]):
-        with pytest.raises(ValueError, match="closes a cycle"):
-            tree_of_graph(PortGraph("abc", edges), 0)
     with pytest.raises(ValueError, match="vertex 2 is not below the root 0"):
-        tree_of_graph(PortGraph("abc", [(0, 1)]), 0)
+        spanning_tree(PortGraph("abc", [(0, 1)]), 0)
     with pytest.raises(ValueError, match="vertex 1 below 1"):
         RootedTree([[1], [1]])
     with pytest.raises(ValueError, match="without its root"):

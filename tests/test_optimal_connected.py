@@ -70,6 +70,13 @@ def test_the_optimum_is_between_the_bound_and_cocta(tree: RootedTree, robots: in
     assert robots == 1 or optimum(tree, robots - 1) >= best
 
 
+@pytest.mark.slow
+@given(trees(11), st.integers(1, 4))
+@settings(max_examples=400)
+def test_no_plan_beats_the_bound_on_larger_trees(tree: RootedTree, robots: int) -> None:
+    assert lower_bound(tree, robots) <= optimum(tree, robots)
+
+
 @given(trees(30), st.integers(1, 12))
 def test_the_bound_is_at_least_the_plain_one(tree: RootedTree, robots: int) -> None:
     """Edges shared out, or there and back."""
@@ -93,6 +100,14 @@ def test_on_some_trees(tree: RootedTree, robots: int, plain: int, bound: int, be
     assert max(ceil(2 * (len(tree) - 1) / robots), 2 * tree.height) == plain
     assert lower_bound(tree, robots) == bound
     assert optimum(tree, robots) == best
+
+
+def test_a_branch_as_long_as_the_team_takes_all_robots() -> None:
+    """Two branches of six vertices: edges shared out, or there and back, would be 12 ticks."""
+    two_branches = tree_of_parents([None, 0, 1, 2, 3, 4, 5, 0, 7, 8, 9, 10, 11])
+    team = Team(two_branches, 3, "cocta")
+    assert lower_bound(two_branches, 3) == 21
+    assert ticks_taken(team, 100) == 22
 
 
 def test_one_robot_goes_around_the_tree() -> None:

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.grid import EAST, NORTH, SOUTH, STEPS, WEST, Cell, Grid
+from protocol.line_of_sight import in_sight
 from tests.conftest import shared
 from tests.instances import read_instance
 from tests.play import grids, line_is_clear, scenario_of
-from world_server.sensing import in_sight
 from world_server.terrain import GridTerrain
 
 GAZES = (None, NORTH, EAST, SOUTH, WEST)

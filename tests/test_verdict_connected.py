@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from agents.algorithms.connected_rule import Team, Variant, next_moves
 from agents.algorithms.connected_splits import paper_splits
-from agents.planning.rooted_tree import perfect_tree
+from agents.planning.rooted_tree import perfect_tree, spanning_tree
+from deploy.report import print_verdict
 from deploy.verdict.connection import Occupied
 from deploy.verdict.guarantees import Guarantee, Status
 from deploy.verdict.ledger import Ledger
@@ -146,6 +147,12 @@ def test_an_edge_that_closes_a_cycle_connects() -> None:
     assert claim(verdict(ring, trace, 2), CONNECTED).holds is False
 
 
+@given(graphs(vertices_max=9), st.booleans())
+def test_depths_are_those_of_the_tree_that_the_robots_use(graph: PortGraph, deep: bool) -> None:
+    tree = spanning_tree(graph, 0, deep=deep).tree
+    assert Occupied(graph, 0, deep=deep).depths == [tree.height - h for h in tree.heights]
+
+
 LONG = graph_of("01 12 23 34")
 DOWN = (0, 1, 2, 3)
 
@@ -192,10 +199,16 @@ def test_a_loss_on_the_way_counts_from_when_the_others_have_arrived() -> None:
 
 
 def test_once_connected_again_a_team_has_no_excuse() -> None:
-    paths = ((*[0] * 9,), (0, 1, 1), (0, 1, 2, 2, 1, 2, 2, 1, 0))
-    result = verdict(LONG, walks(LONG, *paths, lost={1: 2}), 3, status="unfinished")
+    # Robot 1 is lost three moves above robot 3; the others are connected after one, and then no more.
+    paths = (
+        (*[0] * 9,),
+        (0, 1, 1, 1, 1),
+        (0, 1, 2, 2, 2, 1, 2, 1, 0),
+        (0, 1, 2, 3, 3, 2, 2, 1, 0),
+    )
+    result = verdict(LONG, walks(LONG, *paths, lost={1: 4}), 4, status="unfinished")
     assert claim(result, CONNECTED).detail == (
-        "not connected at t=5: robot 2 apart from those further up"
+        "not connected at t=6: robots 2, 3 apart from those further up"
     )
 
 
@@ -213,9 +226,11 @@ def test_a_robot_that_has_stopped_connects_nobody() -> None:
     assert claim(verdict(PATH, walks(PATH, *paths), 3), CONNECTED).holds is False
 
 
-@given(graphs(vertices_max=9), st.data())
-def test_counting_finds_what_searching_finds(graph: PortGraph, data: st.DataObject) -> None:
-    occupied = Occupied(graph, 0)
+@given(graphs(vertices_max=9), st.booleans(), st.data())
+def test_counting_finds_what_searching_finds(
+    graph: PortGraph, deep: bool, data: st.DataObject
+) -> None:
+    occupied = Occupied(graph, 0, deep=deep)
     at: list[int] = []
     vertex = st.integers(0, len(graph.names) - 1)
     for _ in range(data.draw(st.integers(1, 12))):
@@ -312,6 +327,27 @@ def test_contact_is_not_asked_for_after_a_loss_until_the_team_must_be_connected(
         ]
         result = verdict(SHORT_LONG, [*trace, *rest], 3, status="unfinished", **EVENT)
         assert claim(result, CONTACT).holds is holds
+
+
+def test_who_was_left_behind_after_a_loss_is_not_forgotten() -> None:
+    graph = graph_of("01 12", [1.0, 30.0])
+    lines: list[Line] = [
+        (0.0, 0, 0, None, Move(exit=0)),
+        (0.0, 1, 0, None, Move(exit=0)),
+        (0.0, 2, 0, None, WaitForNews()),
+        (1.0, 0, 1, 0, WaitForNews()),
+        (1.0, 1, 1, 0, WaitForNews()),
+    ]
+    trace = trace_of(lines, 3)
+    # One below, and moves took 1: the excuse is over at 1.5 + 1 + 1, the move of robot 0 much later.
+    trace.append(Event(1.5, 0, -1, 2, 0, None, "killed", 0))
+    trace.append(Event(2.0, 0, 0, 0, 1, 0, Move(exit=1), 0))
+    trace.append(Event(2.5, 0, 0, 1, 1, 0, Move(exit=0), 0))
+    result = verdict(graph, trace, 3, status="unfinished", **EVENT)
+    assert claim(result, CONTACT).holds
+    trace.append(Event(3.5, 0, 0, 1, 0, 0, WaitForNews(), 0))
+    result = verdict(graph, trace, 3, status="unfinished", **EVENT)
+    assert claim(result, CONTACT).detail == "t=3.5: robot 0 between 1 and 2, with nobody there"
 
 
 def test_on_the_event_clock_the_longest_move_counts() -> None:
@@ -457,3 +493,14 @@ def test_messages_are_counted_with_their_bytes() -> None:
     ]
     result = verdict(FORK, trace, 1)
     assert (result.messages, result.message_bytes) == (3, 5)
+
+
+@pytest.mark.parametrize(("words", "line"), [((b"ab", b"c"), "2, 3 bytes"), ((), None)])
+def test_the_verdict_says_what_was_said(
+    words: tuple[bytes, ...], line: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    looks = Event(0.0, -1, 0, 0, 0, None, Look(messages=words), 0)
+    print_verdict(verdict(FORK, [looks, Event(0.0, 0, 0, 0, 0, None, Stop(), 0)], 1))
+    said = [each.split(maxsplit=1) for each in capsys.readouterr().out.splitlines()]
+    lines = {each[0]: each[1] for each in said if len(each) == 2}
+    assert lines.get("messages") == line

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 from protocol.grid import Grid
+from protocol.line_of_sight import in_sight
 from protocol.scenario import Scenario
 from protocol.seeds import spawn
-from world_server.sensing import in_sight, in_sub_cells
+from world_server.sensing import in_sub_cells
 from world_server.terrain import GridTerrain, Terrain
 
 

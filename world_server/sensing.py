@@ -15,6 +15,7 @@ from collections.abc import Callable
 from math import floor
 
 from protocol.grid import STEPS, Cell, Grid
+from protocol.line_of_sight import gaps_to, is_clear
 from protocol.scenario import SensingSection
 
 See = Callable[[int, Cell, int | None], bytes]
@@ -86,61 +87,16 @@ def _square(grid: Grid, range_cells: float, *, hidden: bool) -> tuple[See, int]:
         (down, right) for down in range(-reach, reach + 1) for right in range(-reach, reach + 1)
     ]
     near = [down * down + right * right <= range_cells * range_cells for down, right in offsets]
-    lines = [_between(*offset) if hidden else () for offset in offsets]
+    lines = [gaps_to(*offset) if hidden else () for offset in offsets]
 
     def look(place: int, position: Cell, gaze: int | None) -> bytes:  # noqa: ARG001  a See
         row, col = grid.position(place)
         seen = bytearray(side * side)
         for index, (down, right) in enumerate(offsets):
-            if not near[index] or not all(_clear(grid, row, col, gap) for gap in lines[index]):
+            if not near[index] or not is_clear(grid, row, col, lines[index]):
                 seen[index] = 63  # ?
             else:
                 seen[index] = 46 if grid.is_free(row + down, col + right) else 35  # . or #
         return bytes(seen)
 
     return look, side
-
-
-Gap = tuple[Cell, ...]
-"""Cells of which one at least must be free for a line to pass."""
-
-
-def _clear(grid: Grid, row: int, col: int, gap: Gap) -> bool:
-    return any(grid.is_free(row + down, col + right) for down, right in gap)
-
-
-def _between(down: int, right: int) -> tuple[Gap, ...]:
-    """Return what the line from the middle of a cell to that of another passes, its ends left out.
-
-    A cell whose inside it crosses must be free; where it passes a corner between two cells one of
-    them must be. In integers: the sides of a cell are two units.
-    """
-    gaps: list[Gap] = []
-    steps_down, steps_right = abs(down), abs(right)
-    sign_down, sign_right = (down > 0) - (down < 0), (right > 0) - (right < 0)
-    row = col = 0
-    while (row, col) != (steps_down, steps_right):
-        # Which side of the present cell does the line leave by? Compare the next crossings.
-        to_row = (2 * row + 1) * steps_right
-        to_col = (2 * col + 1) * steps_down
-        if to_row == to_col:
-            gaps.append(
-                (
-                    (sign_down * (row + 1), sign_right * col),
-                    (sign_down * row, sign_right * (col + 1)),
-                )
-            )
-            row, col = row + 1, col + 1
-        elif to_row < to_col:
-            row += 1
-        else:
-            col += 1
-        if (row, col) != (steps_down, steps_right):
-            gaps.append(((sign_down * row, sign_right * col),))
-    return tuple(gaps)
-
-
-def in_sight(grid: Grid, one: Cell, other: Cell) -> bool:
-    """Tell whether the straight line between two free sub-cells is clear."""
-    row, col = one
-    return all(_clear(grid, row, col, gap) for gap in _between(other[0] - row, other[1] - col))

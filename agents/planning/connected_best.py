@@ -27,7 +27,7 @@ from agents.planning.optimal_connected import lower_bound
 from agents.planning.rooted_tree import RootedTree
 from protocol.seeds import Stream, spawn
 
-FIRST_LOADS = (10, 7, 13)
+FIRST_LOADS = (9, 12, 6)
 """Loads to begin with, the most promising first."""
 
 FULL_LOAD = 16
@@ -98,8 +98,9 @@ def first_tries(plan: ConnectedPlan) -> Iterator[ConnectedPlan]:
     """Yield some plans that are often good, with the shallowest children first."""
     tree = shallow_first(plan.tree)
     printed = paper_splits(tree.arity, tree.height, plan.team_size)
-    for splits in dict.fromkeys((plan.splits, printed, printed[1:], ())):
-        for load in FIRST_LOADS:
+    lower = tuple(split - 1 for split in printed if split > 1)
+    for load in FIRST_LOADS:
+        for splits in dict.fromkeys((plan.splits, lower, printed, ())):
             yield plan._replace(tree=tree, splits=splits, load=load)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import product
 
+from agents.algorithms.connected_rule import trails
 from agents.planning.rooted_tree import NOWHERE, RootedTree
 
 MOST_VERTICES = 12
@@ -17,43 +18,50 @@ MOST_VERTICES = 12
 def lower_bound(tree: RootedTree, team_size: int) -> int:
     """Return a number of ticks that no plan can do with less.
 
-    For every depth d it is 2 d + ceil((2 E + 2 I) / k), with E the number of vertices below depth d,
-    and I that of the vertices at depth d or below that have children. The largest depth gives twice
-    the height. A single robot crosses 2 (n - 1) edges.
+    The *trail* of a vertex is the longest way down from it, in vertices, itself included. For every
+    depth d the bound is 2 d + ceil(W / k); the largest depth gives twice the height. W is the sum of
+
+    - 2 min(k, trail) over all vertices below depth d,
+    - 2 for each vertex at depth d that has children, and whose trail is at most k,
+    - 2 for d = 0 if the trail of the root is longer, and k > 1.
 
     Proof:
-        A *robot-tick* is what one robot does in one tick; T ticks have k T of them. For each vertex but
-        the root, the first crossing of its edge down and the last one up are *useful*; of several at
-        once, one of them, whichever. All other crossings, and all stays, are *waste*. Let k > 1.
+        W counts *robot-ticks*: what one robot does in one tick. No robot is at depth d in the first d
+        ticks or the last d, so k (T - 2 d) of them are left for what happens at depth d and below.
 
-        Let v have children, and let t be the tick in which robots first go from v to any of them, say
-        to u. If v is occupied after that tick, the robot there stayed, or it came down, not for the
-        first time, as v was occupied before; from a child it did not come, as none had been entered.
-        So its robot-tick is waste. If v is not occupied, all robots are in the subtree of u, as they
-        are connected; so all k went from v to u in this tick, and k - 1 of these crossings are waste.
+        First term. When a robot is at the lowest leaf below v, all k are in the subtree of v, or else,
+        as they are connected, the whole trail from v to that leaf is occupied. So min(k, trail)
+        robots or more have gone down to v by then, and go up from it later.
 
-        Let s be the tick in which robots last come up to v from any child; s > t. Backwards in time
-        the same holds: a robot that is at v before that tick stays or goes up, not for the last
-        time; or all k come up from one child. So v has two robot-ticks of waste, in ticks t and s.
+        Second term. Let t be the tick in which robots first go from v to a child, say to u. If v is
+        occupied afterwards, that robot stayed or came from above, as no child had been entered:
+        neither is in the first term. If v is not occupied, all robots are in the subtree of u; so all
+        k went there in this tick, and the first term has but trail(u) < k of these crossings. In the
+        same way backwards in time: a robot stays at v or goes up, or all k come up, in the tick in
+        which robots last come up to v, which is later than t.
 
-        None of them is counted for two vertices. A stay at v counts for v alone. A crossing from p down
-        to its child v counts for v only if v was occupied before, and for p only in the tick in
-        which v is first entered. A crossing up from v to p counts for v only if another follows, and
-        for p only in the tick of the last one.
-
-        So k T is at least 2 (n - 1) + 2 I: this is d = 0. No robot is at depth d in the first d ticks
-        or the last d. So the crossings of all edges below depth d, and the waste of all vertices at
-        depth d or below, fall into T - 2 d ticks.
+        Third term. At first all robots are at one vertex x, the root. Either one of them stays, which
+        is in no other term; or all k go down to the same child, as they are connected, and the same
+        is asked again; or, below the root, one goes up. A child with a trail shorter than k, as a
+        leaf has, is entered by more robots than the first term counts. If one goes up from x, whose
+        trail is at least k and whose lowest leaf is not visited yet, it has to come down to x again,
+        as all k must be below at once. So there is one robot-tick more, a stay or a crossing down;
+        and backwards in time one more, a stay or a crossing up. If both are a stay in the same tick,
+        all k stay in it.
     """
-    if team_size == 1:
-        return 2 * (len(tree) - 1)
+    longest = trails(tree)
     needed = [0] * (tree.height + 1)
-    for vertex, children in enumerate(tree.children):
-        needed[tree.height - tree.heights[vertex]] += 2 * len(children) + 2 * bool(children)
-    bound = work = 0
+    tops = [0] * (tree.height + 1)
+    for vertex, trail in enumerate(longest):
+        depth = tree.height - tree.heights[vertex]
+        needed[depth] += 2 * min(team_size, trail)
+        tops[depth] += 2 * (1 < trail <= team_size)
+    if longest[tree.root] > team_size > 1:
+        tops[0] = 2
+    bound = below = 0
     for depth in range(tree.height, -1, -1):
-        work += needed[depth]
-        bound = max(bound, 2 * depth + -(-work // team_size))
+        bound = max(bound, 2 * depth + -(-(below + tops[depth]) // team_size))
+        below += needed[depth]
     return bound
 
 

@@ -2,10 +2,11 @@
 
 Robots reach each other at the same vertex or at adjacent ones; so a team is connected if the vertices
 with robots are. On a tree they are if and only if there is one more of them than of edges between
-them, and both numbers are kept up to date. On a graph with cycles that test is made with a
-breadth-first tree: if it says yes, so it is; else it is searched for.
+them, and both numbers are kept up to date. On a graph with cycles that test is made with the robots'
+spanning tree: if it says yes, so it is; else it is searched for.
 """
 
+from collections import deque
 from collections.abc import Iterator
 
 from protocol.graph import PortGraph
@@ -21,23 +22,24 @@ class Occupied:
 
     Attributes:
         robots: number of robots at each vertex that has any.
-        depths: hops from the root to each vertex; -1 where it cannot be reached.
+        depths: edges of the spanning tree from the root to each vertex; -1 where it does not lead.
     """
 
     __slots__ = ("_below", "_far", "_is_tree", "_links", "_parents", "depths", "robots")
 
-    def __init__(self, graph: PortGraph, root: int) -> None:
+    def __init__(self, graph: PortGraph, root: int, *, deep: bool = False) -> None:
+        """Begin without robots.
+
+        Args:
+            graph: where they go.
+            root: where they all start.
+            deep: whether the spanning tree is searched depth first, not breadth first.
+        """
         self.robots: dict[int, int] = {}
-        self.depths = graph.distances(root)
         self._far = graph.far
         self._is_tree = graph.is_tree()
-        self._parents = [
-            next((far for far in graph.far[vertex] if self.depths[far] == depth - 1), NOWHERE)
-            if depth > 0
-            else NOWHERE
-            for vertex, depth in enumerate(self.depths)
-        ]
-        self._links = 0  # edges of the breadth-first tree with robots at both ends
+        self._parents, self.depths = _spanning_tree(graph, root, deep=deep)
+        self._links = 0  # edges of the spanning tree with robots at both ends
         self._below = [0] * len(self._parents)  # children there that have robots
 
     def add(self, vertex: int) -> None:
@@ -85,6 +87,22 @@ class Occupied:
         """Return how many hops the lowest robot is further from the root than the highest one."""
         depths = [self.depths[vertex] for vertex in self.robots]
         return max(depths) - min(depths) if depths else 0
+
+
+def _spanning_tree(graph: PortGraph, root: int, *, deep: bool) -> tuple[list[int], list[int]]:
+    """Return parents and depths of the tree that a search finds in the order of ports."""
+    parents, depths = [NOWHERE] * len(graph.far), [-1] * len(graph.far)
+    depths[root] = 0
+    ahead = deque([(root, iter(graph.far[root]))])
+    while ahead:
+        vertex, ways = ahead[-1] if deep else ahead[0]
+        far = next((far for far in ways if depths[far] < 0), NOWHERE)
+        if far == NOWHERE:
+            ahead.pop() if deep else ahead.popleft()
+        else:
+            parents[far], depths[far] = vertex, depths[vertex] + 1
+            ahead.append((far, iter(graph.far[far])))
+    return parents, depths
 
 
 class Contact:
@@ -143,7 +161,3 @@ class Contact:
                 for edge in sorted(self._edges_at.get(vertex, ())):
                     if edge[0] not in self.standing and edge[1] not in self.standing:
                         yield edge
-
-    def look_again(self) -> None:
-        """Have every edge with robots on it looked at once more."""
-        self._doubtful.update(end for edge in self.on_edge for end in edge)

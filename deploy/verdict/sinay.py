@@ -4,14 +4,14 @@ Sinay, Agmon, Maksimov, Kraus, Peleg 2017, "Maintaining Communication in Multi-R
 
 Symbols: N arity, H height of the tree, k robots, h_1 > ... > h_m split heights, E_H the time of NCOCTA.
 
-The team is connected if the places of all living robots are, at the end of each instant; a robot on its
-way is where it left from, and one that has stopped, or was lost, is out of the team. The paper has no
-losses. After one the team may be apart: it must be connected again within D moves, where D is how many
-edges the lowest living robot was below the highest one, at least 1. D is taken, and the moves are
-counted, from the instant of the last loss; or, where robots were under way or set out in the same wave,
-from the instant when all those moves had ended. In lockstep a team that is connected stays so from then
-on. On the event clock, where robots find together one by one, that is asked of it after D moves, each
-taken for as long as the longest so far, and one time unit more.
+The team is connected if the places of all living robots are, at the end of each instant; a robot on
+its way is where it left from, and one that has stopped, or was lost, is out of the team. The paper has
+no losses. After one the team may be apart: it must be connected again within D moves, where D is how
+many edges of the tree that the robots use the lowest living robot was below the highest one, at least
+1. D is taken, and the moves are counted, from the instant of the last loss; or, where robots were under
+way or set out in the same wave, from the instant when all those moves had ended. In lockstep a team
+that is connected stays so from then on. On the event clock, where robots find together one by one, that
+is asked of it after D moves, each taken for as long as the longest so far, and one time unit more.
 
 Departures:
 
@@ -60,13 +60,22 @@ class Watch:
         excused: whether it may be, after a loss.
     """
 
-    def __init__(self, graph: PortGraph, starts: Sequence[int], *, lockstep: bool) -> None:
-        """Put the robots at their starts."""
+    def __init__(
+        self, graph: PortGraph, starts: Sequence[int], *, lockstep: bool, deep: bool = False
+    ) -> None:
+        """Put the robots at their starts.
+
+        Args:
+            graph: where they go.
+            starts: where each starts.
+            lockstep: whether all moves take one tick.
+            deep: whether they use a depth-first spanning tree.
+        """
         self._graph = graph
         self._lockstep = lockstep
         self._at = list(starts)
         self._living = set(range(len(starts)))
-        self._occupied = Occupied(graph, starts[0])
+        self._occupied = Occupied(graph, starts[0], deep=deep)
         self._contact = Contact()
         for start in starts:
             self._occupied.add(start)
@@ -197,7 +206,6 @@ class Watch:
                 self.apart_since = None
             if self.excused and now >= (self._deadline_from if self._lockstep else self._deadline):
                 self.excused = False
-                self._contact.look_again()
         else:
             self._judge_apart(now, until)
         if not self._lockstep and not self.excused:
@@ -233,7 +241,8 @@ class Sinay:
         self._splits = scenario.algorithm_options.get("splits", "paper")
         self._lockstep = scenario.clock.mode == "lockstep"
         self._is_tree = graph.is_tree()
-        self._watch = Watch(graph, ledger.starts, lockstep=self._lockstep)
+        deep = scenario.algorithm_options.get("tree") == "depth-first"
+        self._watch = Watch(graph, ledger.starts, lockstep=self._lockstep, deep=deep)
         self.observe = self._watch.observe
 
     def complete(self) -> bool:
