@@ -14,6 +14,7 @@ BENCHMARKS = (
     "recovery_length",
     "processes",
     "planning",
+    "parent_child",
     "connected",
     "connected_best",
     "connected_robots",

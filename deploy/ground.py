@@ -15,6 +15,7 @@ from protocol.scenario import (
     RandomGraph,
     RandomObstacles,
     RandomTree,
+    Rectangles,
     Rooms,
     Scenario,
     Warehouse,
@@ -95,23 +96,28 @@ def _generated(scenario: Scenario) -> Ground:
             return generated_grids.rooms(rows, cols, rng)
         case Warehouse(rows=rows, cols=cols):
             return generated_grids.warehouse(rows, cols)
+        case Rectangles(rows=rows, cols=cols, ratio=ratio):
+            return generated_grids.rectangles(rows, cols, ratio, rng)
         case None:
             raise AssertionError("a scenario has a map or a generator")
 
 
-def starts_on(ground: Ground, scenario: Scenario, *, cells: bool) -> Started:
+def starts_on(
+    ground: Ground, scenario: Scenario, *, cells: bool, together: bool = False
+) -> Started:
     """Find the start of each robot.
 
     Args:
         ground: the whole of it.
         scenario: says where they start.
         cells: whether the algorithm covers complete coarse cells only.
+        together: whether all start on one sub-cell of a grid where the scenario does not say it.
 
     Raises:
         ScenarioError: If a robot cannot start there.
     """
     if isinstance(ground, Grid):
-        return _on_grid(ground, scenario, cells=cells)
+        return _on_grid(ground, scenario, cells=cells, together=together)
     return _on_graph(ground, scenario)
 
 
@@ -173,7 +179,7 @@ def _vertex(graph: PortGraph, name: Start, field: str) -> int:
 # Grids.
 
 
-def _on_grid(grid: Grid, scenario: Scenario, *, cells: bool) -> Started:
+def _on_grid(grid: Grid, scenario: Scenario, *, cells: bool, together: bool) -> Started:
     world, robots = scenario.world, scenario.team.robots
     if isinstance(world.starts, tuple):
         starts = [
@@ -182,8 +188,10 @@ def _on_grid(grid: Grid, scenario: Scenario, *, cells: bool) -> Started:
         ]
     elif world.start is not None:
         starts = [_sub_cell(grid, world.start, "world.start", cells=cells)] * robots
+    elif together and world.starts is None:
+        starts = _drawn(grid, scenario, 1, cells=cells) * robots
     else:
-        starts = _drawn(grid, scenario, cells=cells)
+        starts = _drawn(grid, scenario, robots, cells=cells)
     one_each = cells or world.bodies == "block"
     if one_each and len(set(starts)) < robots:
         field = "world.start" if world.start is not None else "world.starts"
@@ -208,7 +216,7 @@ def reach_of(grid: Grid, starts: Sequence[Cell], *, cells: bool) -> set[Cell]:
     return {sub_cell for cell in coarse for sub_cell in sub_cells(cell)}
 
 
-def _drawn(grid: Grid, scenario: Scenario, *, cells: bool) -> list[Cell]:
+def _drawn(grid: Grid, scenario: Scenario, robots: int, *, cells: bool) -> list[Cell]:
     """Draw a start for each robot, no two alike, in the largest part of the grid that holds them.
 
     A team that no part holds starts in several: the largest, and the next ones as far as needed.
@@ -223,7 +231,6 @@ def _drawn(grid: Grid, scenario: Scenario, *, cells: bool) -> list[Cell]:
             seen |= parts[-1]
     parts.sort(key=len, reverse=True)
     among: list[Cell] = []
-    robots = scenario.team.robots
     for part in parts:
         if len(among) >= robots:
             break

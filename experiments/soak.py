@@ -36,6 +36,9 @@ from protocol.seeds import Stream, spawn
 PATIENCE_S = 120.0
 """A run that takes longer hangs."""
 
+ALGORITHMS = ("mr-dfs", "mr-dfs", "mr-dfs", "ormstc", "ormstc", "ncocta", "cocta", "cocta-best")
+"""What is played, the oftener named the oftener."""
+
 LEAVE_S = 3.0
 """What a run started is gone this long after it."""
 
@@ -66,11 +69,13 @@ def draw(seed: int) -> dict[str, Any]:
     """Draw a scenario, as the tree of a file."""
     rng = spawn(seed, "soak")
     robots = rng.choice((1, 2, 2, 3, 3, 4, 5, 6))
-    on_graph = rng.random() < 0.7
+    algorithm = rng.choice(ALGORITHMS)
+    on_graph = algorithm != "ormstc"
+    has_devices = algorithm == "mr-dfs"
     event = on_graph and rng.random() < 0.4
     scenario: dict[str, Any] = {
         "name": f"soak-{seed}",
-        "algorithm": "mr-dfs" if on_graph else "ormstc",
+        "algorithm": algorithm,
         "seed": seed,
         "durability": rng.choice(("process", "process", "process", "power")),
         "world": {"generate": _graph(rng) if on_graph else _grid(rng)},
@@ -80,13 +85,17 @@ def draw(seed: int) -> dict[str, Any]:
             "robots": rng.randrange(robots),
             "infrastructure": rng.randrange(7),
             "network": rng.choice((0, 0, 0, 1, 2)),
-            "tags": rng.choice((0, 0, 0, 1, 2, 4)) if on_graph else 0,
+            "tags": rng.choice((0, 0, 0, 1, 2, 4)) if has_devices else 0,
         },
     }
     if rng.random() < 0.2:
-        names = ["world", *(["bookkeeping"] if on_graph else []), "robot:0"]
+        names = ["world", *(["bookkeeping"] if has_devices else []), "robot:0"]
         skew = {"skew": rng.choice(names), "at": rng.randrange(4), "by_s": rng.uniform(-1e6, 1e6)}
         scenario["faults"] = [skew]
+    if on_graph and not has_devices:
+        scenario["algorithm_options"] = {"tree": "breadth-first"}
+    if algorithm == "cocta-best":
+        scenario["algorithm_options"]["effort"] = 200
     if event:
         scenario["clock"] = {"mode": "event", "jitter": rng.choice((0.0, 0.3, "exponential"))}
     return scenario

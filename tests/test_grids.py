@@ -25,7 +25,7 @@ from protocol.graph import PortGraph
 from protocol.grid import EAST, NORTH, SOUTH, STEPS, WEST, Grid, sub_cells
 from world_server.maps import GridFile, read_grid, read_map
 from world_server.maps import grids as grid_readers
-from world_server.maps.generated_grids import random_obstacles, rooms, warehouse
+from world_server.maps.generated_grids import random_obstacles, rectangles, rooms, warehouse
 from world_server.maps.grids import CELLS_MOST, FREE_GREY, GRID_READERS
 from world_server.maps.readers import READERS
 
@@ -971,6 +971,34 @@ def test_a_warehouse() -> None:
     ]
 
 
+@given(st.integers(1, 20), st.integers(1, 20), st.sampled_from((0, 0.2, 0.35, 0.75)), st.data())
+def test_rectangles_fill_as_much_as_asked_and_cut_nothing_off(
+    rows: int, cols: int, ratio: float, data: st.DataObject
+) -> None:
+    seed = data.draw(st.integers(0, 99))
+    grid = rectangles(rows, cols, ratio, Random(seed))
+    free = grid.free_cells()
+    assert (grid.rows, grid.cols) == (rows, cols)
+    assert grid.reachable(free[:1]) == set(free)
+    blocked = rows * cols - len(free)
+    assert min(ratio * rows * cols, rows * cols - 1) <= blocked
+    assert blocked < max(1, ratio * rows * cols) + 64
+    assert rectangles(rows, cols, ratio, Random(seed)) == grid
+
+
+def test_a_rectangle_has_sides_up_to_eight() -> None:
+    sides = set()
+    for seed in range(400):
+        grid = rectangles(30, 30, 1 / 900, Random(seed))
+        free = set(grid.free_cells())
+        cells = [(row, col) for row in range(30) for col in range(30) if (row, col) not in free]
+        rows, cols = ({cell[axis] for cell in cells} for axis in (0, 1))
+        assert len(cells) == len(rows) * len(cols)
+        sides.add((len(rows), len(cols)))
+    assert {side for pair in sides for side in pair} == set(range(1, 9))
+    # Reference: Sec. 5 of the parent-child paper; sides uniform from 1 to 8.
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -979,6 +1007,8 @@ def test_a_warehouse() -> None:
         (lambda: random_obstacles(0, 2, 0, Random(1)), "rows: found 0, expected at least 1"),
         (lambda: rooms(1, 0, Random(1)), "cols: found 0, expected at least 1"),
         (lambda: warehouse(-1, 1), "rows: found -1, expected at least 1"),
+        (lambda: rectangles(1, 0, 0, Random(1)), "cols: found 0, expected at least 1"),
+        (lambda: rectangles(2, 2, 0.8, Random(1)), "ratio: found 0.8, expected 0 to 0.75"),
     ],
 )
 def test_generators_refuse_what_cannot_be(call: Callable[[], Grid], message: str) -> None:

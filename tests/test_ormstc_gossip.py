@@ -14,25 +14,26 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agents.algorithms.claims import Claim, Start
-from agents.algorithms.ormstc import Explorer
-from agents.algorithms.ormstc_gossip import (
+from agents.algorithms.gossip_body import (
     CELLS,
     NOTES,
     ROWS,
     Beside,
     Covered,
     Gossip,
-    GossipClaims,
-    GossipExplorer,
     Packet,
     Row,
     read_note,
     read_packet,
 )
+from agents.algorithms.gossip_claims import GossipClaims
+from agents.algorithms.ormstc import Explorer
+from agents.algorithms.ormstc_gossip import GossipExplorer
 from agents.algorithms.stc import located
 from protocol.codec import encode
 from protocol.errors import MessageError
 from protocol.grid import Cell, sub_cells
+from protocol.line_of_sight import in_sight
 from protocol.messages import AnyRequest, Briefing, GridSight, RadioFacts, Stop
 from tests.coverage_runs import Covered as Run
 from tests.coverage_runs import (
@@ -45,7 +46,6 @@ from tests.coverage_runs import (
     little,
     littles,
 )
-from world_server.sensing import in_sight
 
 randoms = st.randoms(use_true_random=False)
 

@@ -1,8 +1,9 @@
-"""Generated grids: scattered obstacles, an office, a warehouse.
+"""Generated grids: scattered obstacles, an office, a warehouse, rectangles.
 
 Sizes are in coarse cells, and what is blocked are whole coarse cells; the grid that comes out has
-two by two sub-cells for each. Every function is pure: the same arguments, with a random source in
-the same state, give the same grid. In all of them the free coarse cells are connected.
+two by two sub-cells for each. Only `rectangles` draws sub-cells. Every function is pure: the same
+arguments, with a random source in the same state, give the same grid. In all of them the free coarse
+cells (of `rectangles` the free sub-cells) are connected.
 """
 
 from collections import deque
@@ -17,6 +18,10 @@ ROOM_MOST = 9
 """Longest side of a room that a coin may leave undivided."""
 RACK_LENGTH = 8
 """Cells of a rack from one cross aisle of a warehouse to the next."""
+SIDE_MOST = 8
+"""Longest side of one of `rectangles`."""
+RATIO_MOST = 0.75
+"""Largest part of the area that `rectangles` block; beyond, nearly all are rejected."""
 
 _Floor = list[bytearray]
 """A row of bytes for each row of coarse cells, 1 where one is blocked."""
@@ -116,6 +121,62 @@ def warehouse(rows: int, cols: int) -> Grid:
     return _grid(floor)
 
 
+def rectangles(rows: int, cols: int, ratio: float, rng: Random) -> Grid:
+    """Block rectangles one after another until they fill a part of the area.
+
+    They may overlap. One that would cut the free sub-cells in two is rejected.
+
+    Args:
+        rows: Sub-cells from top to bottom, at least 1.
+        cols: Sub-cells from left to right, at least 1.
+        ratio: Part of the area that is blocked at least, 0 to `RATIO_MOST`; the last rectangle may
+            block more, and one sub-cell always stays free.
+        rng: Source of sides and places.
+
+    Returns:
+        The grid; its free sub-cells are connected.
+
+    Raises:
+        ValueError: If a size is too small, or the ratio is out of range.
+
+    Paper:
+        The parent-child paper, Sec. 5: "we added obstacles in different sizes" up to 20 and 35 %. How
+        they are drawn is not given; here sides are uniform from 1 to `SIDE_MOST`.
+    """
+    floor = _empty(rows, cols)
+    if not 0 <= ratio <= RATIO_MOST:
+        raise ValueError(f"ratio: found {ratio:g}, expected 0 to {RATIO_MOST:g}")
+    blocked, enough = 0, min(ratio * rows * cols, rows * cols - 1)
+    while blocked < enough:
+        height, width = rng.randint(1, min(SIDE_MOST, rows)), rng.randint(1, min(SIDE_MOST, cols))
+        top, left = rng.randint(0, rows - height), rng.randint(0, cols - width)
+        blocked += _block(floor, top, left, height, width, rows * cols - blocked)
+    return Grid(rows, cols, b"".join(floor))
+
+
+def _block(floor: _Floor, top: int, left: int, height: int, width: int, free: int) -> int:
+    """Block a rectangle unless it cuts something off or leaves nothing; return what it took."""
+    inside = [
+        (row, col)
+        for row in range(top, top + height)
+        for col in range(left, left + width)
+        if not floor[row][col]
+    ]
+    if len(inside) == free:
+        return 0
+    arcs = _arcs(floor, top, left, height, width)
+    for row, col in inside:
+        floor[row][col] = 1
+    if arcs > 1:
+        ring = _ring(top, left, height, width)
+        beside = [cell for cell, touches in ring if touches and not _is_blocked(floor, *cell)]
+        if _are_apart(floor, beside):
+            for row, col in inside:
+                floor[row][col] = 0
+            return 0
+    return len(inside)
+
+
 _Room = tuple[int, int, int, int]
 """Top, left, and the first row and column behind it."""
 
@@ -190,11 +251,22 @@ def _cuts(floor: _Floor, cell: Cell, neighbours: list[Cell]) -> bool:
     arcs = _arcs(floor, *cell, 1, 1)
     if arcs <= 1:
         return arcs == 0  # only the last free cell of all has no free neighbour
-    # The cell parts its surroundings; they may still meet somewhere else. Searches from all sides
-    # take turns, so that a small part that is cut off costs little, however large the other is.
-    owner = {neighbour: search for search, neighbour in enumerate(neighbours)}
-    fronts = [deque([neighbour]) for neighbour in neighbours]
-    parts = list(range(len(neighbours)))  # searches that have met are one part, under one number
+    # The cell parts its surroundings; they may still meet somewhere else.
+    floor[cell[0]][cell[1]] = 1
+    apart = _are_apart(floor, neighbours)
+    floor[cell[0]][cell[1]] = 0
+    return apart
+
+
+def _are_apart(floor: _Floor, cells: list[Cell]) -> bool:
+    """Tell whether not all of some free cells are connected.
+
+    Searches from all of them take turns, so that a small part that is cut off costs little, however
+    large the other is.
+    """
+    owner = {cell: search for search, cell in enumerate(cells)}
+    fronts = [deque([cell]) for cell in cells]
+    parts = list(range(len(cells)))  # searches that have met are one part, under one number
     while len(set(parts)) > 1:
         for part in range(len(parts)):
             if part not in parts:
@@ -202,8 +274,6 @@ def _cuts(floor: _Floor, cell: Cell, neighbours: list[Cell]) -> bool:
             if not fronts[part]:
                 return True
             for step in _free_neighbours(floor, fronts[part].popleft()):
-                if step == cell:
-                    continue
                 if step not in owner:
                     owner[step] = part
                     fronts[part].append(step)

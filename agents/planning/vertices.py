@@ -1,0 +1,256 @@
+"""Vertices of a grid: which of them see each other, and where a parent has to stand to see all.
+
+A vertex is a free cell. Two see each other if their squared distance is at most a limit, and the line
+between them is clear (`protocol.sights`).
+
+Paper:
+    The parent-child paper, Sec. 3.3. A vertex is in sight below r_los, so the limit is the largest
+    whole number below (r_los / d) squared. Candidates for a parent vertex lie within f = 2 r_los of
+    some parent vertex chosen before; the paper's Eq. 5 asks for all, which soon leaves none. Where no
+    vertex that is not covered lies so near, all of those are candidates.
+"""
+
+from fractions import Fraction
+from math import ceil, floor, isqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.grid import Cell, Grid
+from protocol.sights import Sights
+
+Mask = npt.NDArray[np.bool_]
+Numbers = npt.NDArray[np.int64]
+
+
+class Reach(NamedTuple):
+    """How far a parent sees.
+
+    Attributes:
+        limit: the largest squared distance in cells that is in sight.
+        in_file: children that fit into the line of sight one behind the other: r_los / d, rounded down.
+    """
+
+    limit: int
+    in_file: int
+
+    @classmethod
+    def of_lengths(cls, r_los_m: float, spacing_m: float) -> "Reach":
+        """Take a radius and the spacing of vertices, exactly as they are written in decimals."""
+        ratio = Fraction(str(r_los_m)) / Fraction(str(spacing_m))
+        return cls(ceil(ratio * ratio) - 1, floor(ratio))
+
+    @classmethod
+    def of_limit(cls, limit: int) -> "Reach":
+        """Take the limit; the radius is the least one that has it, rounded up to a whole square."""
+        return cls(limit, isqrt(limit + 1))
+
+
+class Views:
+    """What is in sight of each cell, ready to be looked up.
+
+    Attributes:
+        grid: the map.
+        limit: the largest squared distance in sight.
+        sights: who sees whom.
+    """
+
+    def __init__(self, grid: Grid, limit: int) -> None:
+        """Look from every vertex in every direction.
+
+        Args:
+            grid: the map.
+            limit: at least 1, so that neighbours see each other.
+
+        Raises:
+            ValueError: If the limit is below 1.
+        """
+        if limit < 1:
+            raise ValueError(f"found a squared radius of {limit}, expected at least 1")
+        self.grid = grid
+        self.limit = limit
+        self.sights = Sights(grid, limit)
+        # No two cells of the grid are farther apart than it is long.
+        half = [
+            (index, down, right)
+            for index, (down, right) in enumerate(self.sights.offsets)
+            if down < grid.rows and abs(right) < grid.cols
+        ]
+        ahead = np.array([offset for _, *offset in half], dtype=np.int64).reshape(-1, 2)
+        # Row by row: the mirrored half, the cell itself, the other half.
+        order = np.lexsort((ahead[:, 1], ahead[:, 0]))
+        ahead = ahead[order]
+        self._offsets: Numbers = np.concatenate((-ahead[::-1], np.zeros((1, 2), np.int64), ahead))
+        self._seen: Mask = np.zeros((len(self._offsets), grid.rows, grid.cols), dtype=np.bool_)
+        middle = len(half)
+        cells = np.frombuffer(grid.cells(), dtype=np.uint8).reshape(grid.rows, grid.cols)
+        self._seen[middle] = cells == 0
+        for at, index in enumerate(order.tolist(), start=1):
+            number, down, right = half[index]
+            seen = self.sights.clear[number]
+            self._seen[middle + at] = seen
+            # What is seen sees back.
+            here, there = _overlap(grid.rows, grid.cols, down, right)
+            self._seen[middle - at][there] = seen[here]
+
+    @property
+    def free(self) -> Mask:
+        """The vertices."""
+        free: Mask = self._seen[len(self._offsets) // 2]
+        return free
+
+    def seen(self, cell: Cell) -> list[Cell]:
+        """Return the cells in sight of a vertex, itself included, row by row."""
+        rows, cols = self.seen_from(cell)
+        return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+    def seen_from(self, cell: Cell) -> tuple[Numbers, Numbers]:
+        """Return the rows and the columns of the cells in sight of a vertex."""
+        offsets = self._offsets[self._seen[:, cell[0], cell[1]]]
+        return offsets[:, 0] + cell[0], offsets[:, 1] + cell[1]
+
+    def weights(self, values: Numbers) -> Numbers:
+        """Return for each cell the sum of the values of the cells in its sight."""
+        rows, cols = values.shape
+        sums = np.zeros_like(values)
+        for (down, right), seen in zip(self._offsets.tolist(), self._seen, strict=True):
+            here, there = _overlap(rows, cols, down, right)
+            sums[here] += seen[here] * values[there]
+        return sums
+
+
+class Choice(NamedTuple):
+    """What is to be covered, and from where.
+
+    Attributes:
+        sights: who sees whom.
+        vertices: how many there are, the paper's P.
+        parents: where a parent has to stand to see them all, in the order chosen; the paper's Q many.
+        los_max, los_sum: vertices in sight of a vertex, itself included: the most, and of all together.
+    """
+
+    sights: Views
+    vertices: int
+    parents: list[Cell]
+    los_max: int
+    los_sum: int
+
+
+def choose(grid: Grid, limit: int, start: Cell | None = None) -> Choice:
+    """Choose where a parent has to stand to see one connected part of a grid.
+
+    Args:
+        grid: the map; at least one cell is free.
+        limit: the largest squared distance in sight, at least 1.
+        start: a free cell of the part; ``None``: the largest part, of equals the first row by row.
+    """
+    sights = Views(grid, limit)
+    part = np.zeros_like(sights.free)
+    rows, cols = zip(*(grid.reachable([start]) if start else _largest(grid)), strict=True)
+    part[list(rows), list(cols)] = True
+    counts = sights.sights.count()[part]
+    return Choice(
+        sights,
+        int(part.sum()),
+        parent_vertices(sights, part),
+        int(counts.max()),
+        int(counts.sum()),
+    )
+
+
+def _largest(grid: Grid) -> set[Cell]:
+    """Return the largest connected part of a grid."""
+    seen: set[Cell] = set()
+    best: set[Cell] = set()
+    for cell in grid.free_cells():
+        if cell not in seen:
+            part = grid.reachable([cell])
+            seen |= part
+            best = max(best, part, key=len)
+    return best
+
+
+def parent_vertices(sights: Views, part: Mask) -> list[Cell]:
+    """Choose vertices from which all are seen, by the paper's greedy rule.
+
+    Args:
+        sights: who sees whom.
+        part: the vertices to see: connected parts as a whole, as nobody sees from one into another.
+
+    Returns:
+        The vertices in the order chosen.
+    """
+    return _Choice(sights, part).all()
+
+
+class _Choice:
+    """The vertices left to see, and what each vertex is worth."""
+
+    def __init__(self, sights: Views, part: Mask) -> None:
+        self._sights = sights
+        self._left = part.copy()
+        self._rows, self._cols = part.shape
+        self._near = np.zeros_like(part)
+        # Neighbours left of each vertex, within a border of one cell.
+        self._neighbours = np.zeros((self._rows + 2, self._cols + 2), dtype=np.int64)
+        for row, col in np.argwhere(part).tolist():
+            self._neighbours[row : row + 3, col : col + 3] += 1
+        self._neighbours[1:-1, 1:-1] -= part
+        values = (self._neighbours[1:-1, 1:-1] - 9) ** 2
+        self._values: Numbers = np.where(part, values, 0)
+        self._weights = sights.weights(self._values)
+
+    def all(self) -> list[Cell]:
+        """Choose until nothing is left."""
+        chosen: list[Cell] = []
+        while self._left.any():
+            candidates = self._left & self._near
+            if not candidates.any():
+                candidates = self._left
+            # Of equals the first, row by row.
+            best = int(np.where(candidates, self._weights, -1).argmax())
+            chosen.append(divmod(best, self._cols))
+            self._choose(chosen[-1])
+        return chosen
+
+    def _choose(self, cell: Cell) -> None:
+        rows, cols = self._sights.seen_from(cell)
+        new = self._left[rows, cols]
+        rows, cols = rows[new], cols[new]
+        self._left[rows, cols] = False
+        for row, col in zip(rows.tolist(), cols.tolist(), strict=True):
+            self._neighbours[row : row + 3, col : col + 3] -= 1
+            self._neighbours[row + 1, col + 1] += 1
+        # Only what was seen now, and what lies beside it, has another value.
+        top, bottom = max(0, int(rows.min()) - 1), int(rows.max()) + 2
+        west, east = max(0, int(cols.min()) - 1), int(cols.max()) + 2
+        around = slice(top, bottom), slice(west, east)
+        counts = self._neighbours[1:-1, 1:-1][around]
+        values = np.where(self._left[around], (counts - 9) ** 2, 0)
+        changes = values - self._values[around]
+        self._values[around] = values
+        for row, col in np.argwhere(changes).tolist():
+            seen = self._sights.seen_from((row + top, col + west))
+            self._weights[seen] += changes[row, col]
+        self._draw_near(cell)
+
+    def _draw_near(self, cell: Cell) -> None:
+        """Let all cells within f of a chosen vertex be candidates."""
+        most = 4 * (self._sights.limit + 1)
+        for down in range(-isqrt(most), isqrt(most) + 1):
+            row, right = cell[0] + down, isqrt(most - down * down)
+            if 0 <= row < self._rows:
+                self._near[row, max(0, cell[1] - right) : cell[1] + right + 1] = True
+
+
+def _overlap(
+    rows: int, cols: int, down: int, right: int
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the cells from which an offset stays on the grid, and the cells that it leads to."""
+    here = (
+        slice(max(0, -down), rows - max(0, down)),
+        slice(max(0, -right), cols - max(0, right)),
+    )
+    there = slice(max(0, down), rows + min(0, down)), slice(max(0, right), cols + min(0, right))
+    return here, there
