@@ -162,8 +162,8 @@ def stays_then_up(ticks: int, *, top: int = 3) -> tuple[int, ...]:
     return (*DOWN[: top + 1], *[top] * (4 - top + ticks), *range(top - 1, -1, -1))
 
 
-@pytest.mark.parametrize(("ticks", "kept"), [(0, True), (1, True), (2, True), (3, False)])
-def test_after_a_loss_there_is_as_much_time_as_the_lowest_is_below_the_highest(
+@pytest.mark.parametrize(("ticks", "kept"), [(0, True), (1, True), (3, True), (4, False)])
+def test_after_a_loss_there_is_one_move_more_than_the_lowest_is_below_the_highest(
     ticks: int, *, kept: bool
 ) -> None:
     # Robots stand at 0, 1, 2 and 3; the ones at 1 and 2 are lost at tick 4.
@@ -183,7 +183,7 @@ def test_after_a_loss_there_is_as_much_time_as_the_lowest_is_below_the_highest(
         apart = 1 + ticks
         assert claim(result, CONNECTED).detail == f"broken by 1 of 2 losses, for at most {apart}"
     else:
-        assert "by t=7, after a loss: robot 3 apart" in claim(result, CONNECTED).detail
+        assert "by t=8, after a loss: robot 3 apart" in claim(result, CONNECTED).detail
 
 
 def test_a_loss_on_the_way_counts_from_when_the_others_have_arrived() -> None:
@@ -192,10 +192,10 @@ def test_a_loss_on_the_way_counts_from_when_the_others_have_arrived() -> None:
     paths = ((*[0] * 9,), (0, 1, 1, 2), (0, 1, 2, 3, 3, 2, 1, 0))
     result = verdict(LONG, walks(LONG, *paths, lost={1: 2.5}), 3, status="unfinished")
     assert claim(result, CONNECTED).holds
-    late = ((*[0] * 9,), (0, 1, 1, 2), (0, 1, 2, 3, 3, 3, 3, 2, 1))
+    late = ((*[0] * 10,), (0, 1, 1, 2), (0, 1, 2, 3, 3, 3, 3, 3, 2, 1))
     result = verdict(LONG, walks(LONG, *late, lost={1: 2.5}), 3, status="unfinished")
     assert claim(result, CONNECTED).holds is False
-    assert "by t=6, after a loss: robot 2" in claim(result, CONNECTED).detail
+    assert "by t=7, after a loss: robot 2" in claim(result, CONNECTED).detail
 
 
 def test_once_connected_again_a_team_has_no_excuse() -> None:
@@ -319,8 +319,8 @@ def test_contact_is_not_asked_for_after_a_loss_until_the_team_must_be_connected(
     result = verdict(SHORT_LONG, trace, 3, status="unfinished", **EVENT)
     assert claim(result, CONTACT).holds
     assert claim(result, CONNECTED).holds
-    # Robot 2 leaves at once, and again when the time for two moves is over: 4 + 2 * 3 + 1.
-    for there, holds in ((5.0, True), (12.0, False)):
+    # Robot 2 leaves at once, and again when the time for three moves is over: 4 + 3 * 3 + 1.
+    for there, holds in ((5.0, True), (15.0, False)):
         rest = [
             Event(there, 0, 0, 2, 1, 0, Move(exit=0), 0),
             Event(there + 0.5, 0, 0, 0, 2, 0, Move(exit=0), 0),
@@ -339,15 +339,15 @@ def test_who_was_left_behind_after_a_loss_is_not_forgotten() -> None:
         (1.0, 1, 1, 0, WaitForNews()),
     ]
     trace = trace_of(lines, 3)
-    # One below, and moves took 1: the excuse is over at 1.5 + 1 + 1, the move of robot 0 much later.
+    # One below, and moves took 1: the excuse is over at 1.5 + 2 + 1, the move of robot 0 much later.
     trace.append(Event(1.5, 0, -1, 2, 0, None, "killed", 0))
     trace.append(Event(2.0, 0, 0, 0, 1, 0, Move(exit=1), 0))
-    trace.append(Event(2.5, 0, 0, 1, 1, 0, Move(exit=0), 0))
+    trace.append(Event(3.5, 0, 0, 1, 1, 0, Move(exit=0), 0))
     result = verdict(graph, trace, 3, status="unfinished", **EVENT)
     assert claim(result, CONTACT).holds
-    trace.append(Event(3.5, 0, 0, 1, 0, 0, WaitForNews(), 0))
+    trace.append(Event(4.5, 0, 0, 1, 0, 0, WaitForNews(), 0))
     result = verdict(graph, trace, 3, status="unfinished", **EVENT)
-    assert claim(result, CONTACT).detail == "t=3.5: robot 0 between 1 and 2, with nobody there"
+    assert claim(result, CONTACT).detail == "t=4.5: robot 0 between 1 and 2, with nobody there"
 
 
 def test_on_the_event_clock_the_longest_move_counts() -> None:
@@ -357,8 +357,8 @@ def test_on_the_event_clock_the_longest_move_counts() -> None:
     lines += [(4.0, 0, 2, 0, WaitForNews())]
     trace = trace_of(lines, 3)
     trace.append(Event(5.0, 0, -1, 1, 1, 0, "killed", 0))
-    # Two below, and the longest move took 3: by 5 + 2 * 3 + 1 they must be connected.
-    for when, holds in ((9.0, True), (9.5, False)):
+    # Two below, and the longest move took 3: by 5 + 3 * 3 + 1 they must be connected.
+    for when, holds in ((12.0, True), (12.5, False)):
         rest = [
             Event(when, 0, 0, 0, 2, 0, Move(exit=0), 0),
             Event(when + 3.0, 0, 0, 0, 1, 1, WaitForNews(), 0),

@@ -24,7 +24,7 @@ A graph that is no tree: the robots use a spanning tree of it, as the option ``t
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -104,14 +104,64 @@ def paths_of(known: KnownGraph, root: int, tree: str, order: tuple[int, ...] = (
     return paths._replace(tree=reordered(paths.tree, order))
 
 
-class Robot:
-    """A robot and its copy of the team's state.
+async def cover_in_lockstep(body: Body, paths: Paths, step: Step, here: Sight) -> None:
+    """Cover the tree with the others until all are back at the root, in lockstep.
+
+    Args:
+        body: the robot.
+        paths: the tree, and its ports.
+        step: the first one.
+        here: what the robot saw first.
+    """
+    robot, parents, up, down = body.robot, paths.tree.parents, paths.up, paths.down
+    before = step
+    while True:
+        if here.losses:
+            step, here = await regroup(body, paths, before, step.at, here)
+        if step.over:
+            return
+        messages = (step.digest,) if step.speaker == robot else ()
+        to = step.moves.get(robot)
+        if to is None:
+            here = await body.wait(messages=messages)
+        else:
+            place = here.place
+            exit_ = up[place] if parents[place] == to else down[to]
+            here = await body.move(exit_, messages=messages)
+        before, step = step, step.next()
+        if not here.losses:
+            compare(robot, here, before, step)
+
+
+def compare(robot: int, here: Sight, before: Step, step: Step) -> None:
+    """Compare what a robot sees and heard with its copy of the team's state.
+
+    Raises:
+        AlgorithmError: If a robot differs.
+    """
+    place = step.at[robot]
+    beside = step.robots_at[place]
+    # Nobody stands twice, so a robot more or less is a robot that differs.
+    if here.place != place or len(here.here) + 1 != len(beside):
+        raise AlgorithmError(
+            f"robot {robot} is at {here.place} with {[*here.here]} at tick {step.tick}; by its copy of "
+            f"the team's state it is at {place}, and there are {[*beside]}"
+        )
+    if here.inbox != before.heard and robot != before.speaker:
+        raise AlgorithmError(
+            f"robot {robot} expected the digest of robot {before.speaker} at tick {before.tick} and "
+            f"heard {here.inbox}: their copies of the team's state differ, or they have lost touch"
+        )
+
+
+class PhasedRobot:
+    """A robot and its copy of the team's state, on the event clock.
 
     Attributes:
         step: the tick that the team is at.
         before: the last one that it moved in; the same at the beginning.
         here: what it saw last.
-        lost: all whose losses it heard of; kept on the event clock.
+        lost: all whose losses it heard of.
     """
 
     def __init__(self, body: Body, paths: Paths, step: Step, here: Sight) -> None:
@@ -122,56 +172,8 @@ class Robot:
         self.here = here
         self.lost: set[int] = set()
 
-    # In lockstep.
-
-    async def cover(self) -> None:
-        """Cover the tree with the others, in lockstep, until all are back at the root."""
-        body, paths, robot = self._body, self._paths, self._body.robot
-        parents, up, down = paths.tree.parents, paths.up, paths.down
-        here, before, step = self.here, self.before, self.step
-        while True:
-            if here.losses:
-                step, here = await regroup(body, paths, before, step.at, here)
-            if step.over:
-                return
-            messages = (step.digest,) if step.speaker == robot else ()
-            to = step.moves.get(robot)
-            if to is None:
-                here = await body.wait(messages=messages)
-            else:
-                place = here.place
-                exit_ = up[place] if parents[place] == to else down[to]
-                here = await body.move(exit_, messages=messages)
-            before, step = step, step.next()
-            if not here.losses:
-                self._compare(here, before, step)
-
-    def _compare(self, here: Sight, before: Step, step: Step) -> None:
-        """Compare what is seen and was heard with the own copy of the team's state.
-
-        Raises:
-            AlgorithmError: If a robot differs.
-        """
-        robot = self._body.robot
-        place = step.at[robot]
-        beside = step.robots_at[place]
-        # Nobody stands twice, so a robot more or less is a robot that differs.
-        if here.place != place or len(here.here) + 1 != len(beside):
-            raise AlgorithmError(
-                f"robot {robot} is at {here.place} with {[*here.here]} at tick {step.tick}; by its "
-                f"copy of the team's state it is at {place}, and there are {[*beside]}"
-            )
-        if here.inbox != before.heard and robot != before.speaker:
-            raise AlgorithmError(
-                f"robot {robot} expected the digest of robot {before.speaker} at tick {before.tick} "
-                f"and heard {here.inbox}: their copies of the team's state differ, or they have lost "
-                "touch"
-            )
-
-    # On the event clock.
-
-    async def cover_later(self) -> None:
-        """Cover the tree with the others, on the event clock, until all are back at the root."""
+    async def cover(self) -> Stop:
+        """Cover the tree with the others until all are back at the root; return the last words."""
         while not self.step.over:
             if not self._hears_of_loss():
                 await self._phase()
@@ -180,6 +182,7 @@ class Robot:
                 self._body, self._paths, (self.before, self.step), self.lost, self.here
             )
             self._unsaid = () if unsaid is None else (unsaid,)
+        return self._body.last_words(messages=self._unsaid)
 
     def _hears_of_loss(self) -> bool:
         return not self.lost.issuperset(self.here.losses)
@@ -222,10 +225,6 @@ class Robot:
                     f"{self.step.tick}"
                 )
 
-    def last_words(self) -> Stop:
-        """Return the stop, with what is still to be said."""
-        return self._body.last_words(messages=self._unsaid)
-
     def _exit(self, place: int, to: int) -> int:
         """Return the port from a vertex to its parent or to a child."""
         paths = self._paths
@@ -262,10 +261,9 @@ async def _cover(body: Body, options: AnyOptions, variant: Variant) -> Stop:
     if isinstance(options, BestOptions):
         order, load = options.order, options.load or None
     paths = paths_of(known, root, options.tree, order)
-    step = first_step(paths.tree, body.team_size, variant, splits, load)
-    robot = Robot(body, paths, step, await body.look())
+    # No name for the first step here: it would keep all of them in memory.
+    first = partial(first_step, paths.tree, body.team_size, variant, splits, load)
     if body.briefing.lockstep:
-        await robot.cover()
-    else:
-        await robot.cover_later()
-    return robot.last_words()
+        await cover_in_lockstep(body, paths, first(), await body.look())
+        return body.last_words()
+    return await PhasedRobot(body, paths, first(), await body.look()).cover()

@@ -18,8 +18,9 @@ In lockstep (`regroup`)
     for lost. That is certain: whoever lives, and is in no part that holds the vertex, goes up
     in every tick.
 
-    Bound: a team is connected again at the latest so many ticks after the last loss as the lowest
-    robot stood below the highest one. After a single loss it is one tick, if one place was left.
+    Bound: after the last loss a team is connected again within D + 1 ticks, where the lowest robot
+    stood D edges below the highest vertex that the team held when the losses began, or was to hold.
+    After a single loss it is one tick, if one place was left.
 
 On the event clock (`regroup_later`)
     Nobody can tell a lost robot from a slow one, so the beacon has to be heard everywhere. All go up to

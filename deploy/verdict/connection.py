@@ -83,10 +83,10 @@ class Occupied:
                     ahead.append(far)
         return found
 
-    def spread(self) -> int:
-        """Return how many hops the lowest robot is further from the root than the highest one."""
+    def span(self) -> tuple[int, int]:
+        """Return the depths of the highest robot and of the lowest one; there is one at least."""
         depths = [self.depths[vertex] for vertex in self.robots]
-        return max(depths) - min(depths) if depths else 0
+        return min(depths), max(depths)
 
 
 def _spanning_tree(graph: PortGraph, root: int, *, deep: bool) -> tuple[list[int], list[int]]:

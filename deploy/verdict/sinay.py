@@ -6,12 +6,13 @@ Symbols: N arity, H height of the tree, k robots, h_1 > ... > h_m split heights,
 
 The team is connected if the places of all living robots are, at the end of each instant; a robot on
 its way is where it left from, and one that has stopped, or was lost, is out of the team. The paper has
-no losses. After one the team may be apart: it must be connected again within D moves, where D is how
-many edges of the tree that the robots use the lowest living robot was below the highest one, at least
-1. D is taken, and the moves are counted, from the instant of the last loss; or, where robots were under
-way or set out in the same wave, from the instant when all those moves had ended. In lockstep a team
-that is connected stays so from then on. On the event clock, where robots find together one by one, that
-is asked of it after D moves, each taken for as long as the longest so far, and one time unit more.
+no losses. After one the team may be apart: it must be connected again within D + 1 moves, where D is
+how many edges of the tree that the robots use the lowest living robot is below the highest vertex that
+the team held before the losses began; one move more, as it may have been about to go up. D is taken,
+and the moves are counted, from the instant of the last loss; or, where robots were under way or set
+out in the same wave, from the instant when all those moves had ended. In lockstep a team that is
+connected stays so from then on. On the event clock, where robots find together one by one, that is
+asked of it after those moves, each taken for as long as the longest so far, and one time unit more.
 
 Departures:
 
@@ -89,6 +90,7 @@ class Watch:
         self._unsettled: set[int] = set()  # those that were under way at the last loss
         self._deadline_from = inf
         self._moves_allowed = 1
+        self._top = 0  # depth of the highest robot when the losses began
         self._counted = False  # whether the last loss is among `breaks`
         self.fell_apart: str | None = None
         self.left_behind: str | None = None
@@ -165,6 +167,8 @@ class Watch:
             self._contact.arrive(ends)
 
     def _lose(self, robot: int) -> None:
+        if not self.excused:
+            self._top = self._occupied.span()[0]
         self._drop(robot)
         self._loss_in_wave = True
         self._counted = False
@@ -188,7 +192,9 @@ class Watch:
     def _if_settled(self, time: float) -> None:
         if not self._unsettled:
             self._deadline_from = time
-            self._moves_allowed = max(1, self._occupied.spread())
+            if self._living:
+                highest, lowest = self._occupied.span()
+                self._moves_allowed = lowest - min(highest, self._top) + 1
 
     @property
     def _deadline(self) -> float:
