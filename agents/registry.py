@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from agents.algorithms import connected, mr_dfs, mstc, ormstc
+from agents.algorithms import connected, mr_dfs, mstc, ormstc, parent_child
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
@@ -26,13 +26,14 @@ ALGORITHMS: dict[str, Any] = {
     "mstc": mstc.mstc,
     "ncocta": connected.ncocta,
     "ormstc": ormstc.ormstc,
+    "parent-child": parent_child.parent_child,
 }
 """The algorithms of Canopy by name."""
 
 TAG_BYTES = {"mr-dfs": mr_dfs.tag_bytes}
 """The size of a tag, for those that use devices: of degree, team size and tree version."""
 
-GRID_ALGORITHMS = frozenset({"mstc", "ormstc"})
+GRID_ALGORITHMS = frozenset({"mstc", "ormstc", "parent-child"})
 """Those that play on grids; the others of Canopy play on graphs, those of users on both."""
 
 _CONNECTED = {
@@ -48,6 +49,13 @@ ASSUMED: dict[str, dict[str, Any]] = {
     "mstc": {"radio.reach": "global", "sensing.mode": "ahead", "sensing.map": True},
     "ncocta": _CONNECTED,
     "ormstc": {"radio.reach": "global", "sensing.mode": "ahead"},
+    "parent-child": {
+        "team.parents": 1,
+        "radio.reach": "radius",
+        "radio.line_of_sight": True,
+        "sensing.mode": "ahead",
+        "sensing.map": True,
+    },
 }
 """What an algorithm's paper assumes, for fields that a scenario leaves out."""
 
@@ -56,6 +64,9 @@ CONNECTED_ALGORITHMS = frozenset({"cocta", "cocta-best", "ncocta"})
 
 CELL_ALGORITHMS = frozenset({"mstc", "ormstc"})
 """Those that cover complete coarse cells only."""
+
+PARENT_ALGORITHMS = frozenset({"parent-child"})
+"""Those of parents that lead children in line of sight; all start together unless told otherwise."""
 
 
 def plain_name(name: str) -> str:

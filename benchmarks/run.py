@@ -15,6 +15,7 @@ BENCHMARKS = (
     "processes",
     "planning",
     "parent_child",
+    "sight",
     "connected",
     "connected_best",
     "connected_robots",

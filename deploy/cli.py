@@ -132,6 +132,12 @@ def _parser() -> argparse.ArgumentParser:
     map_.add_argument(
         "--resolution-m", type=float, metavar="M", help="side of a pixel or character of a grid"
     )
+    map_.add_argument(
+        "--los",
+        type=float,
+        metavar="R_M",
+        help="also say how many cells of a grid see each other, less than so many metres away",
+    )
     map_.add_argument("--json", action="store_true", help="print the facts as one JSON object")
     map_.add_argument(
         "--picture",
@@ -390,7 +396,7 @@ def _map(arguments: argparse.Namespace) -> int:
     from world_server.maps import GridFile, read_map
 
     found = read_map(arguments.file, cell_m=arguments.cell_m, resolution_m=arguments.resolution_m)
-    facts = facts_of(arguments.file, found)
+    facts = facts_of(arguments.file, found, arguments.los)
     # A map that is an image, or has one beside it, must not be drawn over.
     is_image = isinstance(found, GridFile) and found.kind in {"image", "ros"}
     picture = arguments.picture or Path(f"{arguments.file.stem}{'-map' * is_image}.png")

@@ -12,6 +12,7 @@ from deploy.verdict.audit import Audit
 from deploy.verdict.coverage import AnyLedger
 from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Monitor
+from deploy.verdict.parent_child import ParentChild
 from deploy.verdict.result import Result, judge, ledger_of, monitors_of, observers
 from protocol.trace import Event
 from world_server.replay import Replayed, read_opening, replay
@@ -130,11 +131,15 @@ def draw(judged: Judged, path: Path) -> None:
 
 def _draw_grid(judged: Judged, ledger: GridLedger, path: Path, title: str, subtitle: str) -> None:
     from deploy.picture_grid import draw_grid_run
+    from deploy.picture_parent_child import ParentTrail
 
     owners, edges = {}, []
+    trail, parents = None, 0
     for monitor in judged.monitors:
         if isinstance(monitor, Agmon):
             owners, edges = monitor.owners(), monitor.edges()
+        elif isinstance(monitor, ParentChild):
+            trail, parents = ParentTrail(*monitor.trail()), monitor.parents
     stopped = {}
     for robot in judged.result.per_robot:
         place = ledger.place(robot.id)
@@ -152,4 +157,6 @@ def _draw_grid(judged: Judged, ledger: GridLedger, path: Path, title: str, subti
         lost=ledger.lost,
         stopped=stopped,
         team_size=judged.result.robots,
+        parents=parents,
+        overlay=trail,
     )

@@ -1,13 +1,18 @@
 """What `canopy map` says of a graph or of a grid."""
 
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
+from msgspec.structs import replace
 
+from agents.planning.vertices import Reach, counts_in_sight
+from protocol.errors import InputError
 from protocol.graph import PortGraph
+from protocol.grid import Grid
 from world_server.maps import GridFile
 
 
@@ -63,6 +68,10 @@ class GridFacts(Struct, frozen=True):
         coarse_components: connected components of the complete coarse cells, by their sides.
         coarse_largest: coarse cells in the largest of them.
         notes: what the user should know of how the file was taken.
+        los_m: how far one looks, where that was asked for: what is that far is out of sight.
+        vertices: free sub-cells as vertices of a parent and its children (their P).
+        los_max, los_sum: vertices in line of sight of a vertex, itself included: the most, and of all
+            together.
     """
 
     file: str
@@ -83,11 +92,31 @@ class GridFacts(Struct, frozen=True):
     coarse_components: int
     coarse_largest: int
     notes: tuple[str, ...]
+    los_m: float | None = None
+    vertices: int | None = None
+    los_max: int | None = None
+    los_sum: int | None = None
 
 
-def facts_of(file: Path, found: PortGraph | GridFile) -> MapFacts | GridFacts:
-    """Measure a graph or a grid."""
-    return _grid_facts(file, found) if isinstance(found, GridFile) else _graph_facts(file, found)
+def facts_of(
+    file: Path, found: PortGraph | GridFile, los_m: float | None = None
+) -> MapFacts | GridFacts:
+    """Measure a graph or a grid.
+
+    Args:
+        file: where it stands.
+        found: what was read from it.
+        los_m: how far to look on a grid, metres; ``None``: do not ask who sees whom.
+
+    Raises:
+        InputError: If one cannot look that far, or on a graph.
+    """
+    if isinstance(found, GridFile):
+        facts = _grid_facts(file, found)
+        return facts if los_m is None else replace(facts, **_sight_facts(found.grid, los_m))
+    if los_m is not None:
+        raise InputError(f"--los {los_m:g}: {file} is a graph, expected a grid")
+    return _graph_facts(file, found)
 
 
 def _graph_facts(file: Path, graph: PortGraph) -> MapFacts:
@@ -158,6 +187,21 @@ def _grid_facts(file: Path, found: GridFile) -> GridFacts:
     )
 
 
+def _sight_facts(grid: Grid, los_m: float) -> dict[str, float]:
+    """Return the fields that say who sees whom."""
+    if not grid.cell_m < los_m < inf:
+        raise InputError(
+            f"--los {los_m:g}: expected a length above {grid.cell_m:g}, the side of a sub-cell"
+        )
+    counts = counts_in_sight(grid, Reach.of_lengths(los_m, grid.cell_m).limit)
+    return {
+        "los_m": los_m,
+        "vertices": int(np.count_nonzero(counts)),
+        "los_max": int(counts.max()),
+        "los_sum": int(counts.sum()),
+    }
+
+
 def _areas(free: npt.NDArray[np.bool_]) -> list[int]:
     """Count the cells of each connected component, joined by sides.
 
@@ -224,6 +268,11 @@ def _describe_grid(facts: GridFacts) -> Iterator[str]:
         if facts.complete
         else f"  no complete coarse cells; {facts.partial} partial"
     )
+    if facts.los_m is not None:
+        yield (
+            f"  line of sight below {facts.los_m:g} m: {facts.vertices} vertices, one sees "
+            f"{facts.los_max} at most, all together {facts.los_sum}, each itself among them"
+        )
     for note in facts.notes:
         yield f"  note: {note}"
 

@@ -11,7 +11,7 @@ million costs little more than one of thirty-six, and every pixel can be tested.
 import itertools
 import math
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,6 +69,9 @@ MANY_EDGES = 5000
 MOST_RINGS = 200
 """Patches of missed sub-cells that are kept in view; more are seen anyway."""
 
+Overlay = Callable[["Axes", float], "Sequence[Artist]"]
+"""Draws on a map whose sub-cells have a side of so many points; returns what explains it."""
+
 
 def draw_grid(grid: Grid, path: Path, title: str) -> None:
     """Draw a grid.
@@ -112,6 +115,8 @@ def draw_grid_run(
     lost: Mapping[int, tuple[float, int | None]],
     stopped: Mapping[int, int],
     team_size: int,
+    parents: int = 0,
+    overlay: Overlay | None = None,
 ) -> None:
     """Draw who covered what, and when.
 
@@ -132,6 +137,8 @@ def draw_grid_run(
             only the legend.
         stopped: Place where a robot stopped, by robot.
         team_size: Number of robots, numbered from 0.
+        parents: So many of the first ones cover nothing, and are not listed unless they were lost.
+        overlay: Draws more upon what was covered.
 
     Raises:
         ValueError: If a place is not free, a coarse cell or robot is out of range, or the suffix is
@@ -168,6 +175,7 @@ def draw_grid_run(
     sheet.edges(edges)
     sheet.borders(owners)
     sheet.rings(missed)
+    explained = [] if overlay is None else sheet.overlaid(overlay)
     lost_at = {robot: time for robot, (time, _) in lost.items()}
     sheet.marks(
         _together(enumerate(starts)),
@@ -177,7 +185,8 @@ def draw_grid_run(
     )
 
     counts = Counter(robot for robot, _ in first_visits.values())
-    entries = [*robot_entries(team_size, counts, lost_at, sheet.robot_swatch)]
+    listed = enumerate(robot_entries(team_size, counts, lost_at, sheet.robot_swatch))
+    entries = [entry for robot, entry in listed if robot >= parents or robot in lost]
     for name, mask, is_missed in (
         ("not covered", missed, True),
         ("out of reach", unvisited & ~missed, False),
@@ -192,7 +201,7 @@ def draw_grid_run(
         (edges, _sign("tree edge", GREY, width=1.6)),
         (owners, _sign("border between owners", INK, width=0.8)),
     ]
-    sheet.key([handle for present, handle in signs if present])
+    sheet.key([*(handle for present, handle in signs if present), *explained])
     save(sheet.figure, path, sheet.dpi)
 
 
@@ -271,6 +280,10 @@ class _Sheet:
                 lines.append(((col, row + 1), (col + 1, row + 1)))
         ends = 2.0 * np.array(lines, dtype=np.float64).reshape(-1, 2, 2)
         self._lines(ends, INK, min(1.4, max(0.5, 0.1 * self._side_pt)))
+
+    def overlaid(self, overlay: Overlay) -> "Sequence[Artist]":
+        """Draw what the caller has to show; return what explains it."""
+        return overlay(self._axes, self._side_pt)
 
     def rings(self, missed: Mask) -> None:
         """Keep small patches of missed sub-cells in view, and put rings around the smallest."""

@@ -2,24 +2,35 @@
 
 A grid of characters gives a vertex for each of them; of other maps the vertices are squares of the
 spacing d, free if all of the square is (the parent-child paper, Sec. 3.2). The team covers the
-connected part of its start, or else the largest one.
+connected part of its start, or else the largest one. Several teams start at the same vertex.
 """
 
 import argparse
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from msgspec import Struct, json
+from msgspec import UNSET, Struct, UnsetType, json
 
-from agents.planning.parent_child import STAY, Plan, Zones, plan_team
+from agents.planning.parent_child import STAY, Plan
+from agents.planning.parent_child_teams import TeamPart, TeamsPlanner, time_of
 from agents.planning.vertices import Reach, choose
-from deploy.grid_pixels import WALL, paint_map
-from deploy.picture_parts import COLOURS, GREY, INK, RED, SIZE_IN, new_page, save
+from deploy.grid_pixels import WALL, Pixels, paint_map, paint_run
+from deploy.picture_parts import (
+    COLOURS,
+    GREY,
+    INK,
+    LEGEND_MOST,
+    RED,
+    SIZE_IN,
+    colour,
+    new_page,
+    save,
+)
 from protocol.errors import InputError
 from protocol.grid import STEPS, Cell, Grid
 from world_server.maps import GridFile, read_map
@@ -41,7 +52,8 @@ class WantedTeam:
     """What is to be planned.
 
     Attributes:
-        children: how many; ``None``: `CHILDREN`.
+        children: how many, in all teams; ``None``: `CHILDREN`.
+        teams: how many parents there are, each with some of the children; 0: as many as are fastest.
         start: where all robots are at first, as text, ``r,c``; ``None``: at the first stop chosen.
         r_los_m: how far the parent sees; ``None``: `R_LOS_M`.
         spacing_m: between vertices; ``None``: `SPACING_M`.
@@ -49,10 +61,24 @@ class WantedTeam:
     """
 
     children: int | None = None
+    teams: int = 1
     start: str | None = None
     r_los_m: float | None = None
     spacing_m: float | None = None
     los_cells_squared: int | None = None
+
+
+class TeamFacts(Struct, frozen=True, kw_only=True):
+    """One of several teams, in numbers of its own, which mean what they do in `TeamPlanFacts`."""
+
+    robots: int
+    vertices: int
+    parents: list[Cell]
+    extra_stops: list[Cell]
+    coverage_steps: int
+    coordination_steps: int
+    redundant_steps: int
+    schedule_steps: int
 
 
 class TeamPlanFacts(Struct, frozen=True, kw_only=True):
@@ -60,15 +86,19 @@ class TeamPlanFacts(Struct, frozen=True, kw_only=True):
 
     Attributes:
         algorithm: its name.
-        robots: how many children.
+        robots: how many children, in all teams.
         vertices: how many there are to cover, the paper's P.
-        parents: where the parent is to stand, in visiting order; as many as the paper's Q.
+        parents: where the parent is to stand, in visiting order; as many as the paper's Q. Of several
+            teams one after another, as are the extra stops.
         extra_stops: further ones, for vertices that are in sight of those but not to be reached there
             without leaving sight.
         los_max, los_sum: vertices in sight of a vertex, itself included: the most, and of all together.
-        coverage_steps, coordination_steps, redundant_steps: as the paper counts them.
-        schedule_steps: ticks that robots need for all of it.
+        coverage_steps, coordination_steps: as the paper counts them; of several teams those of the
+            one that takes the most of both together.
+        redundant_steps: the same, of all teams together.
+        schedule_steps: ticks that robots need for all of it, the slowest team of several.
         seconds: how long planning took.
+        teams: each of several.
     """
 
     algorithm: str
@@ -83,6 +113,7 @@ class TeamPlanFacts(Struct, frozen=True, kw_only=True):
     redundant_steps: int
     schedule_steps: int
     seconds: float
+    teams: list[TeamFacts] | UnsetType = UNSET
 
 
 class TeamPlan(NamedTuple):
@@ -90,13 +121,18 @@ class TeamPlan(NamedTuple):
 
     Attributes:
         facts: it in numbers.
-        plan: stops and moves.
+        teams: parts, stops and moves of each team.
         reach: how far the parent sees, in cells; the distance itself is out of sight.
     """
 
     facts: TeamPlanFacts
-    plan: Plan
+    teams: tuple[TeamPart, ...]
     reach: float
+
+    @property
+    def plan(self) -> Plan:
+        """Stops and moves of the first team, mostly the only one."""
+        return self.teams[0].plan
 
 
 def lines_of(arguments: argparse.Namespace) -> Iterator[str]:
@@ -115,6 +151,7 @@ def lines_of(arguments: argparse.Namespace) -> Iterator[str]:
     )
     wanted = WantedTeam(
         children=arguments.robots,
+        teams=_teams(arguments.teams),
         start=arguments.starts,
         r_los_m=arguments.r_los,
         spacing_m=arguments.spacing if arguments.cell_m is None else arguments.cell_m,
@@ -123,7 +160,7 @@ def lines_of(arguments: argparse.Namespace) -> Iterator[str]:
     planned = plan_parent_child(found.grid, wanted)
     try:
         if arguments.paths is not None:
-            write_places(arguments.paths, planned.plan)
+            write_places(arguments.paths, [team.plan for team in planned.teams])
         if arguments.picture is not None:
             draw_team_plan(found.grid, planned, arguments.picture, arguments.map.stem)
     except (OSError, ValueError) as error:
@@ -150,28 +187,56 @@ def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
     chosen = choose(grid, reach.limit, start)
     start = start or chosen.parents[0]
     children = wanted.children or CHILDREN
-    plan = plan_team(
-        Zones(grid, chosen.sights.seen),
-        chosen.parents,
-        parent=start,
-        children=[start] * children,
-        in_file=reach.in_file,
-    )
+    planner = TeamsPlanner(chosen, start, children=children, in_file=reach.in_file)
+    if wanted.teams > planner.most_teams:
+        raise InputError(
+            f"--teams: found {wanted.teams}, expected at most {planner.most_teams}: each needs one of "
+            f"{children} children, and one of {chosen.vertices} vertices"
+        )
+    teams = planner.plan(wanted.teams) if wanted.teams else planner.best()
+    told = [_facts_of(team) for team in teams]
+    slowest = max(told, key=lambda one: one.coverage_steps + one.coordination_steps)
     facts = TeamPlanFacts(
         algorithm=PARENT_CHILD,
         robots=children,
         vertices=chosen.vertices,
-        parents=list(plan.order),
-        extra_stops=[stop.cell for stop in plan.stops if stop.is_extra],
+        parents=[cell for one in told for cell in one.parents],
+        extra_stops=[cell for one in told for cell in one.extra_stops],
         los_max=chosen.los_max,
         los_sum=chosen.los_sum,
+        coverage_steps=slowest.coverage_steps,
+        coordination_steps=slowest.coordination_steps,
+        redundant_steps=sum(one.redundant_steps for one in told),
+        schedule_steps=time_of(teams)[0],
+        seconds=round(time.perf_counter() - began, 6),
+        teams=told if len(told) > 1 else UNSET,
+    )
+    return TeamPlan(facts, teams, math.sqrt(reach.limit + 1))
+
+
+def _facts_of(team: TeamPart) -> TeamFacts:
+    plan = team.plan
+    return TeamFacts(
+        robots=team.children,
+        vertices=len(team.part),
+        parents=list(plan.order),
+        extra_stops=[stop.cell for stop in plan.stops if stop.is_extra],
         coverage_steps=plan.coverage_steps,
         coordination_steps=plan.coordination_steps,
         redundant_steps=plan.redundant_steps,
         schedule_steps=plan.schedule_steps,
-        seconds=round(time.perf_counter() - began, 6),
     )
-    return TeamPlan(facts, plan, math.sqrt(reach.limit + 1))
+
+
+def _teams(text: str | None) -> int:
+    """Read how many teams there are to be; 0 for as many as are fastest."""
+    if text is None:
+        return 1
+    if text == "best":
+        return 0
+    if not text.isdecimal():
+        raise InputError(f"--teams: found {text!r}, expected a whole number, or 'best'")
+    return int(text)
 
 
 def _reach(wanted: WantedTeam) -> Reach:
@@ -244,7 +309,9 @@ def describe_team(found: TeamPlan) -> Iterator[str]:
     """Say in lines what a plan comes to."""
     facts = found.facts
     robots = "child covers" if facts.robots == 1 else "children cover"
-    yield f"{facts.algorithm}: a parent and {facts.robots} {robots} {facts.vertices} vertices"
+    teams = len(found.teams)
+    parents = "a parent" if teams == 1 else f"{teams} parents"
+    yield f"{facts.algorithm}: {parents} and {facts.robots} {robots} {facts.vertices} vertices"
     extra = f", and {len(facts.extra_stops)} extra" if facts.extra_stops else ""
     yield f"  parent stands at  {len(facts.parents)} vertices{extra}"
     yield f"  in sight          at most {facts.los_max} vertices, {facts.los_sum} in all"
@@ -253,17 +320,27 @@ def describe_team(found: TeamPlan) -> Iterator[str]:
         f"coordinate; {facts.redundant_steps} of all children's are redundant"
     )
     yield f"  schedule          {facts.schedule_steps} ticks"
+    if facts.teams is not UNSET:
+        for at, team in enumerate(facts.teams):
+            robots = "child " if team.robots == 1 else "children"
+            yield (
+                f"  team {at:<13}{team.robots} {robots}, {team.vertices} vertices, "
+                f"{team.coverage_steps} + {team.coordination_steps} steps, "
+                f"{team.schedule_steps} ticks"
+            )
 
 
-def write_places(path: Path, plan: Plan) -> None:
-    """Write where each robot is, tick by tick, as JSON: the parent first, ``[row, column]`` each.
+def write_places(path: Path, plans: Sequence[Plan]) -> None:
+    """Write where each robot is, tick by tick, as JSON, ``[row, column]`` each.
+
+    Team by team, the parent first; who is done earlier than others stays where it is.
 
     Raises:
         OSError: If the file cannot be written.
     """
-    path.write_bytes(
-        json.encode([places(plan, robot) for robot in range(len(plan.starts))]) + b"\n"
-    )
+    length = 1 + max(plan.schedule_steps for plan in plans)
+    told = [places(plan, robot) for plan in plans for robot in range(len(plan.starts))]
+    path.write_bytes(json.encode([one + one[-1:] * (length - len(one)) for one in told]) + b"\n")
 
 
 def places(plan: Plan, robot: int) -> list[Cell]:
@@ -287,6 +364,8 @@ KEY_X = 0.77
 def draw_team_plan(grid: Grid, found: TeamPlan, picture: Path, name: str) -> None:
     """Draw obstacles, the stops of the parent with what it sees around them, and its way.
 
+    Several teams have a colour each, and so have their parts.
+
     Args:
         grid: the map.
         found: the plan.
@@ -301,11 +380,18 @@ def draw_team_plan(grid: Grid, found: TeamPlan, picture: Path, name: str) -> Non
         The parent-child paper, Fig. 8.
     """
     facts = found.facts
-    figure = new_page(
-        f"{name}: {facts.algorithm}",
-        f"a parent and {facts.robots} children, {facts.vertices} vertices; "
-        f"{facts.coverage_steps} steps to cover, {facts.coordination_steps} to coordinate",
-    )
+    teams = len(found.teams)
+    if teams == 1:
+        subtitle = (
+            f"a parent and {facts.robots} children, {facts.vertices} vertices; "
+            f"{facts.coverage_steps} steps to cover, {facts.coordination_steps} to coordinate"
+        )
+    else:
+        subtitle = (
+            f"{teams} parents and {facts.robots} children, {facts.vertices} vertices; "
+            f"the slowest team takes {facts.schedule_steps} ticks"
+        )
+    figure = new_page(f"{name}: {facts.algorithm}", subtitle)
     west, south, east, north = MAP_BOX
     width, height = (east - west) * SIZE_IN[0], (north - south) * SIZE_IN[1]
     side_in = min(width / grid.cols, height / grid.rows)
@@ -313,43 +399,81 @@ def draw_team_plan(grid: Grid, found: TeamPlan, picture: Path, name: str) -> Non
         (west, south, side_in * grid.cols / SIZE_IN[0], side_in * grid.rows / SIZE_IN[1])
     )
     px = max(1, math.ceil(side_in * 300))
-    blocked = np.frombuffer(grid.cells(), dtype=np.uint8).reshape(grid.rows, grid.cols) != 0
-    pixels = paint_map(blocked, np.zeros_like(blocked), px, px / (72 * side_in))
+    pixels = _paint(grid, found.teams, px, px / (72 * side_in))
     axes.imshow(pixels, extent=(0, grid.cols, grid.rows, 0), aspect="auto", zorder=0)
     axes.set_xlim(0, grid.cols)
     axes.set_ylim(grid.rows, 0)
     axes.set_xticks([])
     axes.set_yticks([])
-    _draw_stops(axes, found, 72 * side_in)
+    for team, look in zip(found.teams, _looks(found.teams), strict=True):
+        _draw_team(axes, team.plan, found.reach, 72 * side_in, look)
+    axes.plot([], [], "o", color=GREY, markerfacecolor="none", label="line-of-sight radius")
+    axes.plot([], [], "s", color=WALL, markersize=9, label="obstacle")
     axes.legend(
         loc="upper left",
         bbox_to_anchor=(KEY_X, north),
         bbox_transform=figure.transFigure,
         frameon=False,
-        fontsize=10,
+        fontsize=10 if teams == 1 else min(9.0, 250 / min(teams, LEGEND_MOST)),
     )
     save(figure, picture)
 
 
-def _draw_stops(axes: "Axes", found: TeamPlan, side_pt: float) -> None:
+def _paint(grid: Grid, teams: Sequence[TeamPart], px: int, px_a_pt: float) -> Pixels:
+    """Return the pixels of the map; of several teams each has its part in a pale colour."""
+    blocked = np.frombuffer(grid.cells(), dtype=np.uint8).reshape(grid.rows, grid.cols) != 0
+    nowhere = np.zeros_like(blocked)
+    if len(teams) == 1:
+        return paint_map(blocked, nowhere, px, px_a_pt)
+    numbers = np.full(blocked.shape, -1, dtype=np.int64)
+    for at, team in enumerate(teams):
+        rows, cols = zip(*team.part, strict=True)
+        numbers[list(rows), list(cols)] = at
+    return paint_run(blocked, numbers, np.zeros(blocked.shape), nowhere, px, px_a_pt)
+
+
+class _Look(NamedTuple):
+    """Colours of a team, and what the legend says.
+
+    Attributes:
+        colours: of the way, of stops, and of extra ones.
+        names: of the way, the start, stops, and extra ones; ``None`` says nothing.
+    """
+
+    colours: tuple[str, str, str]
+    names: tuple[str | None, str | None, str | None, str | None]
+
+
+def _looks(teams: Sequence[TeamPart]) -> Iterator[_Look]:
+    if len(teams) == 1:
+        names = "way of the parent", "start", "vertex of the parent", "extra stop"
+        yield _Look((INK, COLOURS[1], COLOURS[2]), names)
+        return
+    for at, team in enumerate(teams):
+        robots = "child" if team.children == 1 else "children"
+        way = f"{at}: {team.children} {robots}, {team.plan.schedule_steps} ticks"
+        said = way if at < LEGEND_MOST else None
+        yield _Look((colour(at),) * 3, (said, None if at else "start", None, None))
+
+
+def _draw_team(axes: "Axes", plan: Plan, reach: float, side_pt: float, look: _Look) -> None:
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
-    way = np.array(places(found.plan, 0), dtype=np.float64)[:, ::-1] + 0.5
+    way = np.array(places(plan, 0), dtype=np.float64)[:, ::-1] + 0.5
     width = min(1.6, max(0.5, 0.15 * side_pt))
-    axes.plot(*way.T, color=INK, linewidth=width, zorder=4, label="way of the parent")
+    axes.plot(*way.T, color=look.colours[0], linewidth=width, zorder=4, label=look.names[0])
     size = min(9.0, max(3.0, side_pt))
-    axes.plot(*way[0], "o", color=RED, markersize=size, zorder=6, label="start")
+    axes.plot(*way[0], "o", color=RED, markersize=size, zorder=6, label=look.names[1])
     size = min(7.0, max(1.5, 0.8 * side_pt))
-    for cells, sign, colour, name in (
-        (found.facts.parents, "s", COLOURS[1], "vertex of the parent"),
-        (found.facts.extra_stops, "D", COLOURS[2], "extra stop"),
+    extra = [stop.cell for stop in plan.stops if stop.is_extra]
+    for cells, sign, paint, name in (
+        (plan.order, "s", look.colours[1], look.names[2]),
+        (extra, "D", look.colours[2], look.names[3]),
     ):
         if cells:
             middles = np.array(cells, dtype=np.float64)[:, ::-1] + 0.5
-            axes.plot(*middles.T, sign, color=colour, markersize=size, zorder=5, label=name)
-            circles = PatchCollection([Circle((x, y), found.reach) for x, y in middles])
+            axes.plot(*middles.T, sign, color=paint, markersize=size, zorder=5, label=name)
+            circles = PatchCollection([Circle((x, y), reach) for x, y in middles])
             circles.set(facecolor="none", edgecolor=GREY, linewidth=0.5, alpha=0.8, zorder=3)
             axes.add_collection(circles)
-    axes.plot([], [], "o", color=GREY, markerfacecolor="none", label="line-of-sight radius")
-    axes.plot([], [], "s", color=WALL, markersize=9, label="obstacle")

@@ -294,7 +294,8 @@ class _Team:
 
     def ended(self, robot: int, code: int) -> None:
         """Take in that a robot's process ended, and keep why if it was its own doing."""
-        if code in (FAILED, NOT_JOINED):
+        # One that is to be killed may first be told so by a world that has come back.
+        if code in (FAILED, NOT_JOINED) and robot not in self._ordered:
             self.failures[robot] = self._supervisor.log_of(f"robot:{robot}")
         self.reap(robot)
 

@@ -128,6 +128,7 @@ def print_verdict(result: Result) -> None:
         ("coverage time", _number(result.coverage_time)),
         ("makespan", _number(result.makespan)),
         ("moves", str(result.steps)),
+        ("planned", _planned(result)),
         ("extra visits", _extra(result)),
         ("largest tag", f"{result.device_bytes_max} bytes" if result.device_bytes_max else None),
         ("messages", _messages(result)),
@@ -185,6 +186,17 @@ def _extra(result: Result) -> str | None:
     if result.visits_extra is None:
         return None
     return f"{result.visits_extra}, {100 * result.visits_extra / max(1, result.covered):.0f} %"
+
+
+def _planned(result: Result) -> str | None:
+    """Return the steps of the plan that a parent and its children carried out."""
+    plan = result.parent_child
+    if plan is None:
+        return None
+    return (
+        f"{plan.stops} stops, {plan.coverage_steps} steps to cover, {plan.coordination_steps} to "
+        f"coordinate; {plan.redundant_steps} of all children's are redundant"
+    )
 
 
 def _messages(result: Result) -> str | None:

@@ -15,6 +15,7 @@ from agents.registry import (
     CELL_ALGORITHMS,
     CONNECTED_ALGORITHMS,
     GRID_ALGORITHMS,
+    PARENT_ALGORITHMS,
     TAG_BYTES,
     algorithm_of,
     plain_name,
@@ -23,7 +24,7 @@ from agents.registry import (
 )
 from bookkeeping.sqlite_store import tag_format_left
 from deploy.chaos import with_chaos
-from deploy.ground import Ground, ground_of, place_of, starts_on
+from deploy.ground import Ground, Started, ground_of, place_of, starts_on
 from protocol.errors import ScenarioError
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
@@ -81,7 +82,11 @@ def prepare(scenario: Scenario) -> Setting:
     scenario = _filled_in(scenario, whole)
     _check_kind(scenario, whole)
     _check_assumed(scenario)
-    found = starts_on(whole, scenario, cells=plain_name(scenario.algorithm) in CELL_ALGORITHMS)
+    name = plain_name(scenario.algorithm)
+    leads = name in PARENT_ALGORITHMS
+    found = starts_on(whole, scenario, cells=name in CELL_ALGORITHMS, together=leads)
+    if leads:
+        _check_family(scenario, found)
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
         _check_size(scenario, found.ground)
@@ -102,8 +107,21 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
     name = plain_name(scenario.algorithm)
     assumed = ASSUMED.get(name, {})
     radio, sensing, device = scenario.radio, scenario.sensing, scenario.device
+    team = scenario.team
+    if team.parents is None:
+        team = replace(team, parents=assumed.get("team.parents"))
+    if name in PARENT_ALGORITHMS:
+        sensing = replace(sensing, robots_m=sensing.robots_m or radio.radius_m)
     if radio.reach is None:
         radio = replace(radio, reach=assumed.get("radio.reach", "none"))
+    if (radio.radius_m is None) == (radio.reach == "radius"):
+        raise ScenarioError(
+            f"field `radio.radius_m`: found {radio.radius_m}, expected a length if "
+            f'`reach = "radius"`, else nothing; the reach is {radio.reach!r}'
+        )
+    if radio.line_of_sight is None:
+        hidden = assumed.get("radio.line_of_sight", False) and radio.reach == "radius"
+        radio = replace(radio, line_of_sight=hidden)
     if radio.relay is None:
         relay = assumed.get("radio.relay", False) and radio.reach == "adjacent"
         radio = replace(radio, relay=relay)
@@ -118,7 +136,7 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
         sensing = replace(sensing, map=assumed.get("sensing.map", False))
     if device.capacity_bytes is None and name in ALGORITHMS and name not in TAG_BYTES:
         device = replace(device, capacity_bytes=0)
-    return replace(scenario, radio=radio, sensing=sensing, device=device)
+    return replace(scenario, team=team, radio=radio, sensing=sensing, device=device)
 
 
 def _check_kind(scenario: Scenario, ground: Ground) -> None:
@@ -134,12 +152,13 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
             f"the map is {where}"
         )
     if isinstance(ground, Grid):
-        range_m = scenario.sensing.range_m or 0.0
-        if range_m > SENSING_MOST * ground.cell_m:
-            raise ScenarioError(
-                f"field `sensing.range_m`: found {range_m:g}, expected at most "
-                f"{SENSING_MOST * ground.cell_m:g}, {SENSING_MOST} sub-cells"
-            )
+        for field in ("range_m", "robots_m"):
+            length_m = getattr(scenario.sensing, field) or 0.0
+            if length_m > SENSING_MOST * ground.cell_m:
+                raise ScenarioError(
+                    f"field `sensing.{field}`: found {length_m:g}, expected at most "
+                    f"{SENSING_MOST * ground.cell_m:g}, {SENSING_MOST} sub-cells"
+                )
         return
     world = scenario.world
     for field, value, usual in (
@@ -148,6 +167,8 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
         ("world.bodies", world.bodies, "pass"),
         ("world.starts", "random" if world.starts == "random" else None, None),
         ("sensing.position", scenario.sensing.position, "known"),
+        ("sensing.robots_m", scenario.sensing.robots_m, None),
+        ("team.parents", scenario.team.parents, None),
         ("radio.reach", "radius" if scenario.radio.reach == "radius" else None, None),
     ):
         if value != usual:
@@ -204,10 +225,59 @@ def _check_assumed(scenario: Scenario) -> None:
             ("radio.reach", radio.reach, "global"),
             ("radio.loss", radio.loss, 0.0),
         ]
+    elif name in PARENT_ALGORITHMS:
+        needs = [
+            ("sensing.map", sensing.map, True),
+            ("sensing.position", sensing.position, "known"),
+            ("world.bodies", scenario.world.bodies, "pass"),
+            ("radio.reach", radio.reach, "radius"),
+            ("radio.line_of_sight", radio.line_of_sight, True),
+            ("radio.latency", radio.latency, 0.0),
+            ("radio.loss", radio.loss, 0.0),
+            ("radio.duplicate", radio.duplicate, 0.0),
+            ("radio.heartbeat", radio.heartbeat, "global"),
+        ]
     for field, found, expected in needs:
         if found != expected:
             known = "nothing" if expected is None else repr(expected)
             raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {known}")
+
+
+def _check_family(scenario: Scenario, found: Started) -> None:
+    """Refuse parents and children that could not work together."""
+    name, grid, starts = plain_name(scenario.algorithm), found.ground, found.starts
+    parents, robots = scenario.team.parents or 0, scenario.team.robots
+    radius_m, robots_m = scenario.radio.radius_m, scenario.sensing.robots_m
+    assert isinstance(grid, Grid)
+    assert radius_m is not None
+    assert robots_m is not None
+    if not 0 < parents < robots:
+        expected = f"at least 1, and fewer than {robots} robots: the others are children"
+        raise ScenarioError(f"field `team.parents`: found {parents}; {name} needs {expected}")
+    if radius_m <= grid.cell_m:
+        raise ScenarioError(
+            f"field `radio.radius_m`: found {radius_m:g}; {name} needs a length above "
+            f"{grid.cell_m:g}, the side of a sub-cell"
+        )
+    if not grid.cell_m < robots_m <= radius_m:
+        raise ScenarioError(
+            f"field `sensing.robots_m`: found {robots_m:g}; {name} needs a length above "
+            f"{grid.cell_m:g}, the side of a sub-cell, up to {radius_m:g}, `radio.radius_m`"
+        )
+    cells = [grid.position(start) for start in starts]
+    apart = [robot for robot in range(parents) if starts[robot] != starts[0]]
+    if apart:
+        raise ScenarioError(
+            f"field `world.starts[{apart[0]}]`: parent {apart[0]} starts on sub-cell "
+            f"{list(cells[apart[0]])}, parent 0 on {list(cells[0])}; {name} needs all parents on one"
+        )
+    reached = grid.reachable(cells[:1])
+    for robot, cell in enumerate(cells):
+        if cell not in reached:
+            raise ScenarioError(
+                f"field `world.starts[{robot}]`: sub-cell {list(cell)} cannot be reached from "
+                f"{list(cells[0])}, where the parent starts"
+            )
 
 
 def _check_size(scenario: Scenario, graph: PortGraph) -> None:

@@ -16,15 +16,28 @@ Gap = tuple[Cell, ...]
 def in_sight(grid: Grid, one: Cell, other: Cell) -> bool:
     """Tell whether the straight line between two free sub-cells is clear."""
     row, col = one
-    return is_clear(grid, row, col, gaps_to(other[0] - row, other[1] - col))
-
-
-def is_clear(grid: Grid, row: int, col: int, gaps: tuple[Gap, ...]) -> bool:
-    """Tell whether a line from a sub-cell passes all of its gaps."""
-    return all(any(grid.is_free(row + down, col + right) for down, right in gap) for gap in gaps)
+    at = row * grid.stride + col
+    cells, corners = _steps_to(other[0] - row, other[1] - col, grid.stride)
+    blocked = grid.blocked
+    for step in cells:
+        if blocked[at + step]:
+            return False
+    return not any(blocked[at + near] and blocked[at + far] for near, far in corners)
 
 
 @lru_cache(maxsize=1 << 16)
+def _steps_to(
+    down: int, right: int, stride: int
+) -> tuple[tuple[int, ...], tuple[tuple[int, int], ...]]:
+    """Return what `gaps_to` returns in numbers of places: the cells, and the pairs at corners.
+
+    All of it lies between the ends of the line, so that none is off a grid that holds both.
+    """
+    places = [[row * stride + col for row, col in gap] for gap in gaps_to(down, right)]
+    cells = tuple(gap[0] for gap in places if len(gap) == 1)
+    return cells, tuple((gap[0], gap[1]) for gap in places if len(gap) == 2)
+
+
 def gaps_to(down: int, right: int) -> tuple[Gap, ...]:
     """Return what the line from the middle of a cell to that of another passes, its ends left out.
 

@@ -139,6 +139,17 @@ class GridSight(Sight, frozen=True, tag="grid_sight"):
     seen: bytes = b""
 
 
+class TeamSight(GridSight, frozen=True, tag="team_sight"):
+    """What a robot perceives on a grid where robots see each other.
+
+    Attributes:
+        robots: the others in sight, ascending: id, and row and column. One under way is where it left
+            from; the lost do not count.
+    """
+
+    robots: tuple[tuple[int, tuple[int, int]], ...] = ()
+
+
 class Stopped(Message, frozen=True, tag="stopped"):
     """The stop is committed; the process may exit."""
 
@@ -159,8 +170,8 @@ class Refusal(Message, frozen=True, tag="refusal"):
     detail: str
 
 
-AnySight = Sight | GridSight
-AnyReply = Sight | GridSight | Stopped | Refusal
+AnySight = Sight | GridSight | TeamSight
+AnyReply = Sight | GridSight | TeamSight | Stopped | Refusal
 """What a request may be answered by."""
 
 # A robot and the world.
@@ -198,16 +209,18 @@ class SensingFacts(Message, frozen=True):
     """What a robot knows of its senses.
 
     Attributes:
-        mode: what is sensed, as in the scenario.
+        mode: what is sensed, as in the scenario; ``"none"`` for a child.
         window: side of the square of sub-cells around the robot that ``seen`` shows, where it does.
         range_cells: how far it sees, sub-cells, where that is limited.
         bodies_block: whether other bodies are obstacles.
+        robots_cells: how far it sees other robots, sub-cells; 0 if not at all.
     """
 
     mode: str = "ports"
     window: int = 0
     range_cells: float = 0.0
     bodies_block: bool = False
+    robots_cells: float = 0.0
 
 
 class KnownMap(Message, frozen=True):
@@ -272,6 +285,8 @@ class Briefing(Message, frozen=True, tag="briefing"):
         map: the grid, where the robots know it beforehand.
         graph: the graph, where the robots know it beforehand.
         lockstep: whether every move takes one time unit.
+        parents: robots below this number are parents, the others children, which see nothing and do
+            not know where they are; ``None``: all are alike.
         nonce: carried by its keys and its token from now on.
     """
 
@@ -290,6 +305,7 @@ class Briefing(Message, frozen=True, tag="briefing"):
     map: KnownMap | None = None
     graph: KnownGraph | None = None
     lockstep: bool = True
+    parents: int | None = None
     nonce: str = ""
 
 

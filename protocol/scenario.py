@@ -77,6 +77,15 @@ class Warehouse(Section, frozen=True, kw_only=True, tag="warehouse", tag_field="
     cols: Count  #: Coarse cells from left to right.
 
 
+class Rectangles(Section, frozen=True, kw_only=True, tag="rectangles", tag_field="kind"):
+    """A grid with rectangles of 1 to 8 sub-cells a side blocked at random, the rest connected."""
+
+    rows: Count  #: Sub-cells from top to bottom.
+    cols: Count  #: Sub-cells from left to right.
+    ratio: Annotated[float, Meta(ge=0, le=0.75)] = 0.2
+    #: Part of the area that is blocked; the last rectangle may exceed it.
+
+
 class Cave(Section, frozen=True, kw_only=True, tag="cave", tag_field="kind"):
     """Winding passages, chambers, dead ends and a few loops; edges have lengths in metres."""
 
@@ -94,6 +103,7 @@ Generator = (
     | RandomObstacles
     | Rooms
     | Warehouse
+    | Rectangles
 )
 
 # The parts of a scenario.
@@ -109,7 +119,8 @@ class WorldSection(Section, frozen=True, kw_only=True):
     #: first vertex of the file, on a grid as ``starts = "random"``.
     starts: tuple[Start, ...] | Literal["random"] | None = None
     #: Start of each robot instead; ``"random"``: drawn from the seed, no two alike, in the largest part
-    #: of a grid (in several where none holds the team).
+    #: of a grid (in several where none holds the team). Algorithm ``parent-child``, by default: all on
+    #: one sub-cell of that part.
     cell_m: Positive | None = None
     #: Grids: side of a sub-cell, metres, which is the size of a robot. Default: one character or pixel
     #: of the file.
@@ -123,6 +134,9 @@ class TeamSection(Section, frozen=True, kw_only=True):
     """The robots."""
 
     robots: Count  #: Number of robots (the papers' k).
+    parents: Natural | None = None
+    #: Grids: the first so many robots are parents, the others their children, which neither see
+    #: anything nor know where they are. Default: as the algorithm's paper assumes, else all are alike.
     speed: Positive | tuple[Positive, ...] = 1.0
     #: Length per time unit (event clock), or one each.
     on_crash: Literal["lost", "restart"] = "lost"
@@ -151,7 +165,9 @@ class RadioSection(Section, frozen=True, kw_only=True):
     #: With ``reach = "adjacent"``: robots pass on what they hear, so that a message reaches all that
     #: are connected to its sender by way of others. Default: as the algorithm's paper assumes, else no.
     radius_m: Positive | None = None  #: With ``reach = "radius"``: how far it carries, metres.
-    line_of_sight: bool = False  #: With ``reach = "radius"``: obstacles are in the way.
+    line_of_sight: bool | None = None
+    #: With ``reach = "radius"``: obstacles are in the way. Default: as the algorithm's paper assumes,
+    #: else they are not.
     latency: Annotated[float, Meta(ge=0)] = 0.0  #: Time units from sending to hearing.
     loss: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     #: Probability that a hearer misses a message; each misses it on its own.
@@ -172,6 +188,9 @@ class SensingSection(Section, frozen=True, kw_only=True):
     #: sub-cells within ``range_m``; ``"line-of-sight"``, those of them that no obstacle hides.
     #: Default: the least that the algorithm can do with; algorithms of users on grids: ``"three"``.
     range_m: Positive | None = None  #: With ``"radius"`` and ``"line-of-sight"``: how far, metres.
+    robots_m: Positive | None = None
+    #: Grids: how far robots see other robots that no obstacle hides, metres; children see none.
+    #: Default: as far as the radio carries if the algorithm's paper assumes so, else not at all.
     map: bool | None = None
     #: Whether robots have a map, and know where all of them start. Default: as the paper of the
     #: algorithm assumes; algorithms of users: no.
@@ -396,6 +415,8 @@ def _world_faults(scenario: Scenario) -> Iterator[Misfit]:
             yield f"world.{name}", inf, "a finite length"
     if isinstance(team.speed, tuple) and len(team.speed) != team.robots:
         yield "team.speed", list(team.speed), f"one for each of {team.robots} robots"
+    if team.parents is not None and team.parents > team.robots:
+        yield "team.parents", team.parents, f"at most {team.robots}, as many as there are robots"
     if inf in (team.speed if isinstance(team.speed, tuple) else (team.speed,)):
         yield "team.speed", team.speed, "a finite speed"
     if scenario.clock.mode == "lockstep" and scenario.clock.jitter != 0:
@@ -404,7 +425,7 @@ def _world_faults(scenario: Scenario) -> Iterator[Misfit]:
 
 def _senses_faults(scenario: Scenario) -> Iterator[Misfit]:
     radio, sensing = scenario.radio, scenario.sensing
-    if (radio.reach == "radius") != (radio.radius_m is not None):
+    if radio.reach is not None and (radio.reach == "radius") != (radio.radius_m is not None):
         yield "radio.radius_m", radio.radius_m, 'a length if `reach = "radius"`, else nothing'
     if radio.line_of_sight and radio.reach != "radius":
         yield "radio.line_of_sight", True, 'false, or `reach = "radius"`'
@@ -419,7 +440,7 @@ def _senses_faults(scenario: Scenario) -> Iterator[Misfit]:
     if (sensing.mode in squares) != (sensing.range_m is not None):
         expected = 'a length if `mode` is "radius" or "line-of-sight", else nothing'
         yield "sensing.range_m", sensing.range_m, expected
-    if inf in (sensing.range_m, sensing.drift):
+    if inf in (sensing.range_m, sensing.robots_m, sensing.drift):
         yield "sensing", inf, "finite lengths"
     if sensing.drift and sensing.position == "known":
         yield "sensing.drift", sensing.drift, '0, or `position = "odometry"`'

@@ -240,7 +240,7 @@ def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("mr-dsf", "found 'mr-dsf', expected mr-dfs, mstc, ormstc, or package.module:function"),
+        ("mr-dsf", "found 'mr-dsf', expected cocta, cocta-best, mr-dfs, mstc, ncocta, ormstc, "),
         ("", "found ''"),
         (":f", "found ':f'"),
         ("module:", "found 'module:'"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from deploy.verdict.audit import SOURCE as AUDIT
+from deploy.verdict.audit_findings import SOURCE as AUDIT
 from protocol.zenoh_link import free_port
 from tests.conftest import ROOT, shared
 from tests.runs import Said, Watch, free, run_cli, write_scenario

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agents.registry import ALGORITHMS, GRID_ALGORITHMS, algorithm_of
+from agents.registry import ALGORITHMS, GRID_ALGORITHMS, PARENT_ALGORITHMS, algorithm_of
 from deploy.inprocess import play
 from protocol.grid import Grid
 from protocol.scenario import from_tree
@@ -21,9 +21,12 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "ormstc": ({}, {"variant": "helping"}, {"lazy": False, "conflict": "fewest-cells"}),
 }
 
+ALIKE = GRID_ALGORITHMS - PARENT_ALGORITHMS
+"""Those of robots that are alike; `test_parent_child.py` has the same tests of the others."""
+
 pytestmark = pytest.mark.parametrize(
     ("algorithm", "options"),
-    [(name, options) for name in sorted(GRID_ALGORITHMS) for options in VARIANTS[name]],
+    [(name, options) for name in sorted(ALIKE) for options in VARIANTS[name]],
 )
 
 PLACES: dict[str, Callable[[], Grid]] = {
@@ -68,7 +71,7 @@ def assert_covered(grid: Grid, events: list[Event]) -> None:
 
 
 def test_every_algorithm_is_here(algorithm: str, options: dict[str, Any]) -> None:
-    assert VARIANTS.keys() == GRID_ALGORITHMS
+    assert VARIANTS.keys() == ALIKE
     assert algorithm in ALGORITHMS
 
 

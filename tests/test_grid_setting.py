@@ -354,7 +354,6 @@ def test_senses_for_graphs_are_refused_on_a_grid(room: str) -> None:
     [
         ({"radio": {"reach": "radius"}}, r"`radio\.radius_m`: found None"),
         ({"radio": {"reach": "global", "radius_m": 2.0}}, r"`radio\.radius_m`: found 2\.0"),
-        ({"radio": {"radius_m": 2.0}}, r"`radio\.radius_m`: found 2\.0"),
         ({"radio": {"line_of_sight": True}}, r"`radio\.line_of_sight`: found True"),
         ({"radio": {"latency": float("inf")}}, r"`radio`: found inf"),
         ({"radio": {"latency": -1.0}}, r"`radio\.latency`: found -1\.0"),
@@ -383,7 +382,7 @@ def test_options_that_do_not_go_together_are_refused_on_reading(
 # Sizes.
 
 
-@pytest.mark.parametrize("kind", ["random-obstacles", "rooms", "warehouse"])
+@pytest.mark.parametrize("kind", ["random-obstacles", "rooms", "warehouse", "rectangles"])
 def test_the_size_of_a_sub_cell_counts_for_generated_grids_too(kind: str) -> None:
     grids = []
     for world in ({}, {"cell_m": 0.25}):
@@ -441,7 +440,14 @@ def test_on_a_graph_nothing_has_changed() -> None:
 
 def test_what_a_scenario_says_is_kept(room: str) -> None:
     fields: dict[str, Any] = {
-        "radio": {"reach": "radius", "radius_m": 3.0, "line_of_sight": True, "latency": 0.5},
+        "radio": {
+            "reach": "radius",
+            "radius_m": 3.0,
+            "line_of_sight": True,
+            "latency": 0.5,
+            "relay": False,
+            "heartbeat": "reach",
+        },
         "sensing": {
             "mode": "three",
             "map": True,

@@ -48,6 +48,7 @@ from protocol.messages import (
     Struck,
     TagWrite,
     Taken,
+    TeamSight,
     Up,
     Wait,
     WaitForNews,
@@ -67,9 +68,10 @@ REQUESTS: list[Any] = [
 ]
 SIGHT = Sight(1.5, 3, None, 2, b"t", 4, True, (1, 2), ((1, b"m"),), (2,))
 GRID_SIGHT = GridSight(1.0, 9, 1, 4, b"", 0, False, (), (), (), (3, 4), b".#?")
+TEAM_SIGHT = TeamSight(2.0, 9, 1, 4, b"", 0, False, (), (), (), (3, 4), b".", ((2, (3, 5)),))
 EXAMPLES: list[tuple[Any, list[Any]]] = [
     (AnyRequest, REQUESTS),
-    (AnyReply, [SIGHT, GRID_SIGHT, Stopped(), Refusal("TagError", "too long")]),
+    (AnyReply, [SIGHT, GRID_SIGHT, TEAM_SIGHT, Stopped(), Refusal("TagError", "too long")]),
     (NumberedRequest, [NumberedRequest(7, request) for request in REQUESTS]),
     (
         NumberedReply,

@@ -260,9 +260,22 @@ def test_generated_grids_come_from_the_seed(kind: str) -> None:
     assert settings[0].notes == ()
 
 
+def test_rectangles_come_from_the_seed() -> None:
+    world = {"generate": {"kind": "rectangles", "rows": 15, "cols": 12, "ratio": 0.25}}
+    family = {"algorithm": "parent-child", "radio": {"radius_m": 2.5}}
+    settings = [prepare(scenario_of(world, **family, seed=seed)) for seed in (1, 1, 2)]
+    first, same, other = (setting.ground for setting in settings)
+    assert isinstance(first, Grid)
+    assert (first.rows, first.cols) == (15, 12)
+    assert first == same
+    assert first != other
+    assert len(first.free_cells()) == settings[0].to_cover <= 0.75 * 15 * 12
+    assert len(set(settings[0].starts)) == 1
+
+
 def test_every_kind_of_generator_is_prepared_here() -> None:
     kinds = {kind.__struct_config__.tag for kind in get_args(Generator)}
-    assert kinds == GENERATED.keys() | GENERATED_GRIDS.keys()
+    assert kinds == {"rectangles"} | GENERATED.keys() | GENERATED_GRIDS.keys()
 
 
 def test_parameters_that_give_no_graph_are_refused() -> None:

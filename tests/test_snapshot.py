@@ -331,8 +331,9 @@ def test_a_restored_world_goes_on_as_the_original(case: Case, data: st.DataObjec
 
 def test_nothing_of_a_world_is_forgotten() -> None:
     """Whoever gives a world one more attribute decides here what becomes of it in a snapshot."""
-    of_the_scenario = """_believed _capacity _latency _leave _move_duration _notices_reach _observe
-        _radio _rounds_max _scenario _see _sense _starts _terrain _tick _wait_duration on_write"""
+    of_the_scenario = """_believed _blind _capacity _eyes _latency _leave _move_duration
+        _notices_reach _observe _radio _rounds_max _scenario _see _sense _starts _terrain _tick
+        _wait_duration on_write"""
     of_one_instant = "_in_turn _next _play _round _wave _when_quiet"
     saved = """_agenda _alive _at_request _clock _destroyed _ether _faults _in_air _moves _resting
         _steering _unseen _visited bodies refusals revisions struck struck_at tags time"""

@@ -787,6 +787,14 @@ def test_writes_go_on_counting_from_the_old_revision() -> None:
 # The world against a naive one.
 
 DURATIONS = (1.0, 1.0, 2.0, 3.0, 0.5, 2.5)
+RADIOS: tuple[dict[str, Any], ...] = (
+    *({"reach": reach} for reach in ("none", "same-place", "global")),
+    *(
+        {"reach": "adjacent", "hops": hops, "relay": relay}
+        for hops in (1, 2)
+        for relay in (False, True)
+    ),
+)
 
 
 class RandomRobots:
@@ -892,7 +900,7 @@ def random_runs(draw: st.DrawFn) -> dict[str, Any]:
         "old_tags": {},
         "faults": faults,
         "radio": {
-            "reach": draw(st.sampled_from(["none", "same-place", "global"])),
+            **draw(st.sampled_from(RADIOS)),
             "heartbeat": draw(st.sampled_from(["global", "reach"])),
         },
         "device": {"capacity_bytes": draw(st.sampled_from([8, 8, 8, 0]))},

@@ -6,6 +6,7 @@ drawn from the seed. Each reach is a class of its own, so that a further one is 
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Protocol, TypeVar
 
 from protocol.grid import Grid
@@ -105,14 +106,18 @@ class RadiusRadio:
     def __init__(self, grid: Grid, radius_m: float, *, line_of_sight: bool) -> None:
         self._grid = grid
         self._squared = in_sub_cells(radius_m, grid) ** 2
-        self._line_of_sight = line_of_sight
+        # Most robots stand where they stood when they were asked about last.
+        self._in_sight = lru_cache(maxsize=1 << 16)(self._looks) if line_of_sight else None
 
     def hears(self, sender: Antenna, receiver: Antenna, time: float) -> bool:  # noqa: ARG002  as the others
         """Tell whether ``receiver`` hears ``sender`` at ``time``."""
         one, other = self._grid.position(sender.place), self._grid.position(receiver.place)
         if (one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 > self._squared:
             return False
-        return not self._line_of_sight or in_sight(self._grid, one, other)
+        return self._in_sight is None or self._in_sight(sender.place, receiver.place)
+
+    def _looks(self, place: int, far: int) -> bool:
+        return in_sight(self._grid, self._grid.position(place), self._grid.position(far))
 
 
 Radio = NoRadio | SamePlaceRadio | GlobalRadio | AdjacentRadio | RadiusRadio
@@ -133,7 +138,8 @@ def radio_of(scenario: Scenario, terrain: Terrain) -> Radio:
         case "radius":
             assert isinstance(terrain, GridTerrain)
             assert radio.radius_m is not None
-            return RadiusRadio(terrain.grid, radio.radius_m, line_of_sight=radio.line_of_sight)
+            hidden = bool(radio.line_of_sight)
+            return RadiusRadio(terrain.grid, radio.radius_m, line_of_sight=hidden)
 
 
 class Ether:

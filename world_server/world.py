@@ -35,6 +35,7 @@ from typing import Literal
 from zlib import crc32
 
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from protocol.codec import encode
 from protocol.errors import (
@@ -60,6 +61,7 @@ from protocol.messages import (
     Sight,
     Stop,
     TagWrite,
+    TeamSight,
     Wait,
     WaitForNews,
 )
@@ -67,7 +69,7 @@ from protocol.scenario import Scenario
 from protocol.seeds import spawn
 from protocol.trace import DEVICE_FAULTS, NOBODY, Event, LossCause, Observer
 from world_server.clock import Agenda, clock_of
-from world_server.radio import Ether, ether_of, in_reach, radio_of
+from world_server.radio import Ether, RadiusRadio, ether_of, in_reach, radio_of
 from world_server.sensing import in_sub_cells
 from world_server.state import BodyState, WorldState, put_back, put_tags_back, states_of, tags_state
 from world_server.steering import steering_of
@@ -140,7 +142,7 @@ CORRUPT_BITS_MAX = 4
 """A tag is corrupted in so many bits at most."""
 
 UNKNOWN_PLACE = -1
-"""The place that a robot which must add up its own moves is told."""
+"""The place that a robot is told which must add up its own moves, or sees nothing."""
 
 # What a body is doing. Plain numbers: they are compared several times a step.
 IN_TURN, UNDER_WAY, WAITING, WAITING_FOR_NEWS, STOPPED, LOST = range(6)
@@ -270,8 +272,8 @@ class World:
         self._terrain = terrain
         self._starts = tuple(starts)
         self._leave = terrain.leave
-        self._sense = terrain.sense
-        self._see = terrain.see
+        self._sense, self._see = terrain.sense, terrain.see
+        self._blind, self._eyes = _eyes_of(scenario, terrain)
         self._steering = steering_of(scenario, terrain, self._starts)
         self._believed = None if self._steering is None else self._steering.believed
         self._observe = observe
@@ -324,14 +326,13 @@ class World:
         """Return what ``robot`` may know beforehand."""
         scenario, terrain = self._scenario, self._terrain
         radio, on_grid = scenario.radio, isinstance(terrain, GridTerrain)
-        range_cells, known_map, known_graph = 0.0, None, None
-        if scenario.sensing.map:
+        is_blind = robot in self._blind
+        known_map, known_graph = None, None
+        if scenario.sensing.map and not is_blind:
             if isinstance(terrain, GridTerrain):
                 known_map = terrain.known_map(self._starts)
             else:
                 known_graph = terrain.known_graph(self._starts)
-        if isinstance(terrain, GridTerrain) and scenario.sensing.range_m is not None:
-            range_cells = in_sub_cells(scenario.sensing.range_m, terrain.grid)
         return Briefing(
             robot,
             scenario.team.robots,
@@ -342,19 +343,30 @@ class World:
             radio.heartbeat or "global",
             scenario.bookkeeping.fresh,
             RadioFacts(radio.reach or "none", radio.latency, radio.loss > 0),
-            SensingFacts(
-                scenario.sensing.mode or "ports",
-                terrain.window,
-                range_cells,
-                scenario.world.bodies == "block",
-            ),
-            terrain.position(self._starts[robot]) if on_grid else None,
+            self._senses(is_blind=is_blind),
+            terrain.position(self._starts[robot]) if on_grid and not is_blind else None,
             any(fault.word in TAG_WORDS for fault in scenario.faults),
             known_map,
             known_graph,
             scenario.clock.mode == "lockstep",
+            scenario.team.parents,
             nonce,
         )
+
+    def _senses(self, *, is_blind: bool) -> SensingFacts:
+        """Return how a robot senses."""
+        sensing, terrain = self._scenario.sensing, self._terrain
+        bodies_block = self._scenario.world.bodies == "block"
+        if is_blind:
+            return SensingFacts("none", bodies_block=bodies_block)
+        range_cells, robots_cells = (
+            in_sub_cells(length, terrain.grid)
+            if isinstance(terrain, GridTerrain) and length is not None
+            else 0.0
+            for length in (sensing.range_m, sensing.robots_m)
+        )
+        mode = sensing.mode or "ports"
+        return SensingFacts(mode, terrain.window, range_cells, bodies_block, robots_cells)
 
     def alive(self) -> int:
         """Return how many robots are neither lost nor stopped."""
@@ -640,6 +652,7 @@ class World:
         """Return what each robot of a wave sees."""
         time, sense, tags, revisions = self.time, self._sense, self.tags, self.revisions
         see, believed, stride = self._see, self._believed, self._terrain.stride
+        blind, has_eyes = self._blind, self._eyes is not None
         in_turn_at, resting_at, first_round = self._in_turn, self._resting, self._round == 0
         sights: list[AnySight | None] = []
         present_at: dict[int, list[int]] = {}
@@ -651,7 +664,7 @@ class World:
                 if place not in present_at:
                     present = [other.robot for other in in_turn if other.state == IN_TURN]
                     present += [other.robot for other in resting_at.get(place, ())]
-                    present_at[place] = sorted(present)
+                    present_at[place] = sorted({*present})  # who was woken is in both
                 present = present_at[place]
                 at = present.index(body.robot)
                 here = (*present[:at], *present[at + 1 :])
@@ -669,6 +682,11 @@ class World:
                 sight = Sight(
                     time, place, entry, sense(place), tag, revision, alone, here, inbox, losses
                 )
+            elif body.robot in blind:
+                here, alone = (), False
+                sight = Sight(
+                    time, UNKNOWN_PLACE, entry, 4, tag, revision, alone, here, inbox, losses
+                )
             else:
                 position = divmod(place, stride) if believed is None else believed[body.robot]
                 sight = GridSight(
@@ -685,9 +703,26 @@ class World:
                     position,
                     see(place, position, body.gaze),
                 )
+                if has_eyes:
+                    sight = TeamSight(**asdict(sight), robots=self._robots_seen(body, position))
             body.sight = sight
             sights.append(sight)
         return sights
+
+    def _robots_seen(
+        self, body: Body, position: tuple[int, int]
+    ) -> tuple[tuple[int, tuple[int, int]], ...]:
+        """Return the others that a robot sees which takes itself to be at ``position``."""
+        assert self._eyes is not None
+        stride = self._terrain.stride
+        others = [other for other in self.bodies if other.state != LOST]
+        row, col = divmod(body.place, stride)
+        down, right = position[0] - row, position[1] - col
+        seen = [
+            (other.robot, divmod(other.place, stride))
+            for other in in_reach(self._eyes, body, others, self.time)
+        ]
+        return tuple((robot, (row + down, col + right)) for robot, (row, col) in seen)
 
     def _apply(  # noqa: C901, PLR0915  see below
         self, wave: list[Body], requests: list[AnyRequest | None]
@@ -884,3 +919,13 @@ class World:
         for old in given:
             self.tags[old.place] = old.tag
             self.revisions[old.place] = old.revision
+
+
+def _eyes_of(scenario: Scenario, terrain: Terrain) -> tuple[frozenset[int], RadiusRadio | None]:
+    """Return the robots that see nothing, and how far the others see robots: as a radio carries."""
+    if not isinstance(terrain, GridTerrain):
+        return frozenset(), None
+    parents, robots_m = scenario.team.parents, scenario.sensing.robots_m
+    blind = () if parents is None else range(parents, scenario.team.robots)
+    eyes = None if robots_m is None else RadiusRadio(terrain.grid, robots_m, line_of_sight=True)
+    return frozenset(blind), eyes

@@ -1,7 +1,7 @@
 """Vertices of a grid: which of them see each other, and where a parent has to stand to see all.
 
 A vertex is a free cell. Two see each other if their squared distance is at most a limit, and the line
-between them is clear (`protocol.sights`).
+between them is clear (`protocol.line_of_sight`).
 
 Paper:
     The parent-child paper, Sec. 3.3. A vertex is in sight below r_los, so the limit is the largest
@@ -10,6 +10,7 @@ Paper:
     vertex that is not covered lies so near, all of those are candidates.
 """
 
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from math import ceil, floor, isqrt
 from typing import NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.grid import Cell, Grid
-from protocol.sights import Sights
+from protocol.line_of_sight import gaps_to
 
 Mask = npt.NDArray[np.bool_]
 Numbers = npt.NDArray[np.int64]
@@ -53,7 +54,6 @@ class Views:
     Attributes:
         grid: the map.
         limit: the largest squared distance in sight.
-        sights: who sees whom.
     """
 
     def __init__(self, grid: Grid, limit: int) -> None:
@@ -70,29 +70,16 @@ class Views:
             raise ValueError(f"found a squared radius of {limit}, expected at least 1")
         self.grid = grid
         self.limit = limit
-        self.sights = Sights(grid, limit)
-        # No two cells of the grid are farther apart than it is long.
-        half = [
-            (index, down, right)
-            for index, (down, right) in enumerate(self.sights.offsets)
-            if down < grid.rows and abs(right) < grid.cols
-        ]
-        ahead = np.array([offset for _, *offset in half], dtype=np.int64).reshape(-1, 2)
+        ahead = _ahead(grid, limit)
         # Row by row: the mirrored half, the cell itself, the other half.
-        order = np.lexsort((ahead[:, 1], ahead[:, 0]))
-        ahead = ahead[order]
-        self._offsets: Numbers = np.concatenate((-ahead[::-1], np.zeros((1, 2), np.int64), ahead))
+        behind = [(-down, -right) for down, right in reversed(ahead)]
+        self._offsets: Numbers = np.array([*behind, (0, 0), *ahead], dtype=np.int64)
         self._seen: Mask = np.zeros((len(self._offsets), grid.rows, grid.cols), dtype=np.bool_)
-        middle = len(half)
-        cells = np.frombuffer(grid.cells(), dtype=np.uint8).reshape(grid.rows, grid.cols)
-        self._seen[middle] = cells == 0
-        for at, index in enumerate(order.tolist(), start=1):
-            number, down, right = half[index]
-            seen = self.sights.clear[number]
-            self._seen[middle + at] = seen
-            # What is seen sees back.
-            here, there = _overlap(grid.rows, grid.cols, down, right)
-            self._seen[middle - at][there] = seen[here]
+        middle = len(ahead)
+        self._seen[middle] = _free(grid)
+        for at, (here, there, clear) in enumerate(_looks(grid, ahead), start=1):
+            self._seen[middle + at][here] = clear
+            self._seen[middle - at][there] = clear
 
     @property
     def free(self) -> Mask:
@@ -118,6 +105,56 @@ class Views:
             here, there = _overlap(rows, cols, down, right)
             sums[here] += seen[here] * values[there]
         return sums
+
+
+def counts_in_sight(grid: Grid, limit: int) -> Numbers:
+    """Return how many cells each cell sees, itself included; 0 where it is blocked.
+
+    It keeps none of them, so that it needs no more memory far than near.
+
+    Args:
+        grid: the map.
+        limit: the largest squared distance in sight.
+    """
+    counts = _free(grid).astype(np.int64)
+    for here, there, clear in _looks(grid, _ahead(grid, limit)):
+        counts[here] += clear
+        counts[there] += clear
+    return counts
+
+
+def _free(grid: Grid) -> Mask:
+    cells = np.frombuffer(grid.cells(), dtype=np.uint8).reshape(grid.rows, grid.cols)
+    free: Mask = cells == 0
+    return free
+
+
+def _ahead(grid: Grid, limit: int) -> list[Cell]:
+    """Return half of the offsets in sight, row by row: what is seen at them sees back."""
+    # No two cells of the grid are farther apart than it is long.
+    rows, cols = (min(isqrt(limit), length - 1) for length in (grid.rows, grid.cols))
+    return [
+        (down, right)
+        for down in range(rows + 1)
+        for right in range(-cols, cols + 1)
+        if (down, right) > (0, 0) and down * down + right * right <= limit
+    ]
+
+
+def _looks(
+    grid: Grid, offsets: Iterable[Cell]
+) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice], Mask]]:
+    """Yield for each offset the cells it stays on the grid from, where it leads, and who sees whom."""
+    free = _free(grid)
+    for down, right in offsets:
+        here, there = _overlap(grid.rows, grid.cols, down, right)
+        clear = free[here] & free[there]
+        for cell, *others in gaps_to(down, right):
+            passable = _shifted(free, here, cell)
+            for other in others:
+                passable = passable | _shifted(free, here, other)
+            clear &= passable
+        yield here, there, clear
 
 
 class Choice(NamedTuple):
@@ -149,7 +186,7 @@ def choose(grid: Grid, limit: int, start: Cell | None = None) -> Choice:
     part = np.zeros_like(sights.free)
     rows, cols = zip(*(grid.reachable([start]) if start else _largest(grid)), strict=True)
     part[list(rows), list(cols)] = True
-    counts = sights.sights.count()[part]
+    counts = counts_in_sight(grid, limit)[part]
     return Choice(
         sights,
         int(part.sum()),
@@ -185,7 +222,11 @@ def parent_vertices(sights: Views, part: Mask) -> list[Cell]:
 
 
 class _Choice:
-    """The vertices left to see, and what each vertex is worth."""
+    """The vertices left to see, and what each vertex is worth.
+
+    Attributes:
+        weights: what a parent there would be worth, w(v).
+    """
 
     def __init__(self, sights: Views, part: Mask) -> None:
         self._sights = sights
@@ -199,7 +240,7 @@ class _Choice:
         self._neighbours[1:-1, 1:-1] -= part
         values = (self._neighbours[1:-1, 1:-1] - 9) ** 2
         self._values: Numbers = np.where(part, values, 0)
-        self._weights = sights.weights(self._values)
+        self.weights = sights.weights(self._values)
 
     def all(self) -> list[Cell]:
         """Choose until nothing is left."""
@@ -209,12 +250,13 @@ class _Choice:
             if not candidates.any():
                 candidates = self._left
             # Of equals the first, row by row.
-            best = int(np.where(candidates, self._weights, -1).argmax())
+            best = int(np.where(candidates, self.weights, -1).argmax())
             chosen.append(divmod(best, self._cols))
-            self._choose(chosen[-1])
+            self.choose(chosen[-1])
         return chosen
 
-    def _choose(self, cell: Cell) -> None:
+    def choose(self, cell: Cell) -> None:
+        """Cover what a vertex sees."""
         rows, cols = self._sights.seen_from(cell)
         new = self._left[rows, cols]
         rows, cols = rows[new], cols[new]
@@ -232,7 +274,7 @@ class _Choice:
         self._values[around] = values
         for row, col in np.argwhere(changes).tolist():
             seen = self._sights.seen_from((row + top, col + west))
-            self._weights[seen] += changes[row, col]
+            self.weights[seen] += changes[row, col]
         self._draw_near(cell)
 
     def _draw_near(self, cell: Cell) -> None:
@@ -254,3 +296,10 @@ def _overlap(
     )
     there = slice(max(0, down), rows + min(0, down)), slice(max(0, right), cols + min(0, right))
     return here, there
+
+
+def _shifted(cells: Mask, here: tuple[slice, slice], offset: Cell) -> Mask:
+    """Return what stands at an offset from some cells, on the grid from all of them."""
+    rows, cols = here
+    down, right = offset
+    return cells[rows.start + down : rows.stop + down, cols.start + right : cols.stop + right]

@@ -4,7 +4,8 @@ Each place has four darts, one for each exit: dart ``4 * place + exit``. One tha
 blocked cell leads back to its own place, with itself as the entry.
 
 Rules of counting, besides those of `base_ledger`: a robot that came back by the exit that it took has
-not moved. A start is one visit, and so is each arrival in another sub-cell.
+not moved. A start is one visit, and so is each arrival in another sub-cell. Of parents and children
+(``team.parents``) only children visit.
 
 Where motion is not exact the trace is held to what is possible:
 
@@ -46,7 +47,7 @@ class GridLedger(BaseLedger):
         grid: the grid that the robots move on.
     """
 
-    __slots__ = ("_blocks", "_reach", "grid")
+    __slots__ = ("_blocks", "_parents", "_reach", "grid")
 
     unit = "sub-cell"
     units = "sub-cells"
@@ -64,6 +65,11 @@ class GridLedger(BaseLedger):
             back=back,
             durations=[Steady(1.0 if speed is None else grid.cell_m / speed) for speed in speeds],
         )
+        self._parents = 0 if scenario is None else scenario.team.parents or 0
+        if self._parents:
+            self.first_visits.clear()
+            for robot in range(self._parents, len(self.starts)):
+                self.first_visits.setdefault(self.starts[robot], (robot, 0.0))
         self._blocks = scenario is not None and scenario.world.bodies == "block"
         # How far from the sub-cell that it meant a robot may end, rows and columns.
         self._reach = 0.0
@@ -81,7 +87,7 @@ class GridLedger(BaseLedger):
         if place == dart >> 2:
             return  # it came back
         track.moves += 1
-        if place not in self.first_visits:
+        if place not in self.first_visits and robot >= self._parents:
             self.first_visits[place] = (robot, time)
             self.coverage_time = time
         if place == track.start:
@@ -117,7 +123,7 @@ class GridLedger(BaseLedger):
     @property
     def visits(self) -> int:
         """The starts, and all arrivals in another sub-cell."""
-        return len(self.starts) + self.steps
+        return sum(1 + track.moves for track in self.robots[self._parents :])
 
     @property
     def visits_extra(self) -> int:

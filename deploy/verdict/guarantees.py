@@ -75,8 +75,8 @@ def covered(ledger: BaseLedger, coverage: Coverage, status: Status) -> Guarantee
     """Judge whether every place was visited."""
     holds: bool | None = not coverage.missing
     detail = f"{coverage.covered} of {coverage.to_cover} {ledger.units} visited"
-    if not holds and not ledger.survivors:
-        holds, detail = None, f"{detail}; no robot survived"
+    if not holds and coverage.hindered:
+        holds, detail = None, f"{detail}; {coverage.hindered}"
     elif not holds and status == "unfinished":
         holds, detail = None, f"{detail} so far"
     elif not holds and ledger.wrong_tags:

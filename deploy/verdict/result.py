@@ -15,6 +15,7 @@ from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
 from deploy.verdict.mstc import Mstc
+from deploy.verdict.parent_child import ParentChild, PlannedSteps
 from deploy.verdict.sinay import Sinay
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
@@ -136,6 +137,7 @@ class Result(Struct, frozen=True, kw_only=True):
         wall_s: real time that it took.
         steps_per_s: moves per second of real time between the first instant and the end; ``None``
             if that is not known.
+        parent_child: for ``parent-child``, what the plan comes to; ``None`` after losses, too.
     """
 
     scenario: str
@@ -169,6 +171,7 @@ class Result(Struct, frozen=True, kw_only=True):
     durability: Literal["process", "power"]
     wall_s: float
     steps_per_s: float | None
+    parent_child: PlannedSteps | None = None
 
 
 def ledger_of(ground: PortGraph | Grid, starts: Sequence[int], scenario: Scenario) -> AnyLedger:
@@ -189,6 +192,8 @@ def monitors_of(scenario: Scenario, ledger: AnyLedger) -> list[Monitor]:
             return [Agmon(scenario, ledger)]
         case "mstc", GridLedger():
             return [Mstc(scenario, ledger)]
+        case "parent-child", GridLedger():
+            return [ParentChild(scenario, ledger)]
         case _:
             return []
 
@@ -240,6 +245,7 @@ def judge(
         traversed = len(ledger.first_crossings)
         _, to_traverse = reachable(ledger.graph, ledger.starts)
     shares = next((found for monitor in monitors if (found := monitor.shares())), None)
+    planned = next((one.steps() for one in monitors if isinstance(one, ParentChild)), None)
     asked_for = all(monitor.complete() for monitor in monitors)
     claims = [claim for monitor in monitors for claim in monitor.report(status)]
     waiting = ledger.alive if status == "stalled" else []
@@ -277,6 +283,7 @@ def judge(
         durability=scenario.durability,
         wall_s=wall_s,
         steps_per_s=steps / play_s if play_s > 0 else None,
+        parent_child=planned,
     )
 
 
