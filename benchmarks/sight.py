@@ -141,7 +141,7 @@ def main() -> None:
         f"line of sight, {SIDE} x {SIDE} sub-cells, 20 % obstacles",
         ("a look or a pair", "us", "cell by cell, us", "times as fast", "at the start, ms"),
         rows,
-        "targets: at least 10 times as fast from 5 sub-cells on, 2 ms a look at 64",
+        "targets: looks at least 10 times as fast from 5 sub-cells on, 2 ms each at 64",
     )
 
 

@@ -199,7 +199,8 @@ are moves. Robots share one connected part of the map.
 
 The algorithm parent-child plans for --robots children (5) that move in sight of a parent robot only:
 where that stands, and every move of all of them. A character is a vertex; of maps with a scale a
-square of --spacing is one.
+square of --spacing is one. With --teams there are several parents, and the children are shared
+among them: each team covers a part of the map.
 """
 
 PLAN_EXAMPLES = """\
@@ -274,6 +275,7 @@ def _add_plan(commands: "argparse._SubParsersAction[_Parser]") -> None:
         ("--r-los", float, "M", "how far the parent sees, metres (2.5)"),
         ("--spacing", float, "M", "from vertex to vertex, metres (0.5)"),
         ("--los-cells-squared", int, "N", "how far instead: largest squared distance in vertices"),
+        ("--teams", str, "T", "parents that share the children (1); 0 or best: what is fastest"),
     ):
         plan.add_argument(option, type=kind, metavar=name, help=f"for parent-child: {text}")
     plan.add_argument(

@@ -36,7 +36,8 @@ from protocol.seeds import Stream, spawn
 PATIENCE_S = 120.0
 """A run that takes longer hangs."""
 
-ALGORITHMS = ("mr-dfs", "mr-dfs", "mr-dfs", "ormstc", "ormstc", "ncocta", "cocta", "cocta-best")
+ON_GRAPHS = ("mr-dfs", "mr-dfs", "mr-dfs", "ncocta", "cocta", "cocta-best")
+ON_GRIDS = ("ormstc", "ormstc", "parent-child")
 """What is played, the oftener named the oftener."""
 
 LEAVE_S = 3.0
@@ -69,10 +70,10 @@ def draw(seed: int) -> dict[str, Any]:
     """Draw a scenario, as the tree of a file."""
     rng = spawn(seed, "soak")
     robots = rng.choice((1, 2, 2, 3, 3, 4, 5, 6))
-    algorithm = rng.choice(ALGORITHMS)
-    on_graph = algorithm != "ormstc"
+    algorithm = rng.choice(ON_GRAPHS + ON_GRIDS)
+    on_graph = algorithm in ON_GRAPHS
     has_devices = algorithm == "mr-dfs"
-    event = on_graph and rng.random() < 0.4
+    event = algorithm != "ormstc" and rng.random() < 0.4
     scenario: dict[str, Any] = {
         "name": f"soak-{seed}",
         "algorithm": algorithm,
@@ -94,6 +95,11 @@ def draw(seed: int) -> dict[str, Any]:
         scenario["faults"] = [skew]
     if on_graph and not has_devices:
         scenario["algorithm_options"] = {"tree": "breadth-first"}
+    if algorithm == "parent-child":
+        scenario["radio"] = {"radius_m": rng.choice((1.5, 2.0, 3.0))}
+        # Of two parents and two children one of each is left.
+        scenario["team"] |= {"robots": robots + 3, "parents": 2}
+        scenario["chaos"]["robots"] = rng.randrange(2)
     if algorithm == "cocta-best":
         scenario["algorithm_options"]["effort"] = 200
     if event:
