@@ -1,5 +1,5 @@
-"""What every algorithm of the registry that plays on graphs owes: it covers, obeys, repeats itself,
-survives. Those that play on grids: test_conformance_grid.
+"""What every algorithm of the registry that explores graphs owes: it covers, obeys, repeats itself,
+survives. Those that play on grids: test_conformance_grid; on trees that are known: test_connected.
 """
 
 from collections.abc import Callable
@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 
-from agents.registry import ALGORITHMS, GRID_ALGORITHMS
+from agents.registry import ALGORITHMS, CONNECTED_ALGORITHMS, GRID_ALGORITHMS
 from protocol.graph import PortGraph
 from tests.play import Played, edges_crossed, graph_of, played, sha256
 from world_server.maps.generators import complete, cycle, grid, nary_tree, path, random_graph, star
 
-pytestmark = pytest.mark.parametrize("algorithm", sorted(ALGORITHMS.keys() - GRID_ALGORITHMS))
+EXPLORERS = ALGORITHMS.keys() - GRID_ALGORITHMS - CONNECTED_ALGORITHMS
+
+pytestmark = pytest.mark.parametrize("algorithm", sorted(EXPLORERS))
 
 PLACES: dict[str, Callable[[], PortGraph]] = {
     "one vertex": lambda: star(0),
