@@ -31,7 +31,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from agents.algorithms.connected_course import Step, first_step
-from agents.algorithms.connected_regroup import is_digest, regroup, regroup_later
+from agents.algorithms.connected_regroup import DONE, is_digest, regroup, regroup_later
 from agents.algorithms.connected_rule import Variant
 from agents.algorithms.connected_splits import choose_splits
 from agents.body import Body
@@ -178,11 +178,14 @@ class PhasedRobot:
             if not self._hears_of_loss():
                 await self._phase()
                 continue
-            self.before, self.step, self.here, unsaid = await regroup_later(
+            found = await regroup_later(
                 self._body, self._paths, (self.before, self.step), self.lost, self.here
             )
+            if found is None:
+                break  # all are at the root, and so is this robot: they had its word
+            self.before, self.step, self.here, unsaid = found
             self._unsaid = () if unsaid is None else (unsaid,)
-        return self._body.last_words(messages=self._unsaid)
+        return self._body.last_words(messages=(*self._unsaid, DONE))
 
     def _hears_of_loss(self) -> bool:
         return not self.lost.issuperset(self.here.losses)

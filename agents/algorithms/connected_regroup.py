@@ -28,7 +28,8 @@ On the event clock (`regroup_later`)
     last. Some may have begun one step more than others; so the vertices of two robots are the same or
     adjacent, which is contact enough. A robot goes on once it has heard everybody who is left
     say that the same robots are lost; all go on from the last step that they have in common. Who hears
-    something new repeats what it knows, so that those who came last hear it too.
+    something new repeats what it knows, so that those who came last hear it too. If that step is the
+    end, robots say so as they stop, for one who lacks the word of a robot that was lost meanwhile.
 
     Bound: as many moves, one after another, as above.
 """
@@ -62,12 +63,16 @@ class Status(Struct, frozen=True, array_like=True, tag="status"):
     step: tuple[int, int] = (0, 0)
 
 
+DONE = b"\1"
+"""On the event clock, the last word of each robot: all is covered. That never becomes untrue."""
+
 _decode = msgspec.msgpack.Decoder(Status).decode
 
 
 def statuses(here: Sight) -> dict[int, Status]:
     """Return the last status of each robot that was heard, without digests said before the loss."""
-    return {sender: _decode(message) for sender, message in here.inbox if not is_digest(message)}
+    words = here.inbox
+    return {sender: _decode(word) for sender, word in words if not is_digest(word) and word != DONE}
 
 
 def is_digest(message: bytes) -> bool:
@@ -140,7 +145,7 @@ def part_of(robot: int, paths: Paths, at: Mapping[int, int]) -> dict[int, int]:
 
 async def regroup_later(
     body: Body, paths: Paths, steps: tuple[Step, Step], lost: set[int], here: Sight
-) -> tuple[Step, Step, Sight, bytes | None]:
+) -> tuple[Step, Step, Sight, bytes | None] | None:
     """Find the others after a loss, on the event clock.
 
     Args:
@@ -152,7 +157,8 @@ async def regroup_later(
 
     Returns:
         The step that all shared, the one with which the team goes on, what the robot saw last (it may
-        tell of further losses), and what is still to be said.
+        tell of further losses), and what is still to be said. ``None``: others have found that all is
+        covered, and have stopped.
 
     Raises:
         AlgorithmError: If the robots shared no step.
@@ -162,6 +168,8 @@ async def regroup_later(
     own: Status | None = None
     heard: dict[int, Status] = {}
     while True:
+        if any(word == DONE for _, word in here.inbox):
+            return None
         # Words come before losses: another may go on by them before it hears of the next loss.
         news = {robot: word for robot, word in statuses(here).items() if heard.get(robot) != word}
         heard.update(news)
