@@ -525,6 +525,26 @@ TRAIL = tree_of([*range(8), 0])
 """A long way down, and a leaf at the root: the team splits there, and leaves a trail."""
 
 
+def test_who_lacks_the_word_of_a_robot_that_was_lost_hears_that_all_is_covered() -> None:
+    """Robot 4 is lost as the others hear robot 3, the last to come, and stop; 3 never had its word."""
+    at = {"6": 11.0, "1": 19.0}
+    nth = {"0": 19, "3": 16, "4": 24, "7": 23}
+    faults: list[dict[str, Any]] = [{"kill": f"robot:{r}", "at": when} for r, when in at.items()]
+    faults += [{"kill": f"robot:{robot}", "at_request": n} for robot, n in nth.items()]
+    run = run_of(
+        graph_of("01 02 03 14 15 16 27 04 06 37"),
+        8,
+        "cocta",
+        clock={"mode": "event", "jitter": "exponential"},
+        options={"splits": [3, 1], "tree": "depth-first"},
+        faults=faults,
+        seed=12284,
+    )
+    assert (run.end.status, run.failures) == ("over", {})
+    assert run.world.bodies[3].stopped_at == run.world.bodies[5].stopped_at
+    assert run.world.bodies[4].lost_at == run.world.bodies[3].stopped_at
+
+
 def along_the_trail(faults: list[dict[str, Any]]) -> Run:
     run = run_of(TRAIL, 8, "ncocta", options={"splits": [8]}, faults=faults)
     run.assert_complete()
