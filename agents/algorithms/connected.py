@@ -12,7 +12,7 @@ who stands beside it with what its copy says. Whoever finds a difference says wh
 
 Assumes: a radio that reaches adjacent places, and all that are connected by others (`relay`); at once,
 without loss. A beacon of each robot that these hear, so that they notice when it falls silent
-(``heartbeat = "reach"``).
+(``heartbeat = "reach"``); on the event clock one that is heard everywhere.
 
 Losses, which the paper leaves out: `connected_regroup`.
 
@@ -31,12 +31,13 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from agents.algorithms.connected_course import Step, first_step
-from agents.algorithms.connected_regroup import DONE, is_digest, regroup, regroup_later
+from agents.algorithms.connected_regroup import is_digest, regroup_by_words, regroup_in_lockstep
 from agents.algorithms.connected_rule import Variant
 from agents.algorithms.connected_splits import choose_splits
 from agents.body import Body
 from agents.planning.connected_best import plan_connected
 from agents.planning.rooted_tree import Paths, order_of, reordered, spanning_tree
+from protocol.codec import encode
 from protocol.errors import AlgorithmError
 from protocol.graph import PortGraph
 from protocol.messages import KnownGraph, Sight, Stop
@@ -117,7 +118,7 @@ async def cover_in_lockstep(body: Body, paths: Paths, step: Step, here: Sight) -
     before = step
     while True:
         if here.losses:
-            step, here = await regroup(body, paths, before, step.at, here)
+            step, here = await regroup_in_lockstep(body, paths, before, step.at, here)
         if step.over:
             return
         messages = (step.digest,) if step.speaker == robot else ()
@@ -141,8 +142,8 @@ def compare(robot: int, here: Sight, before: Step, step: Step) -> None:
     """
     place = step.at[robot]
     beside = step.robots_at[place]
-    # Nobody stands twice, so a robot more or less is a robot that differs.
-    if here.place != place or len(here.here) + 1 != len(beside):
+    alike = len(here.here) + 1 == len(beside) and (not here.here or {*here.here} < {*beside})
+    if here.place != place or not alike:
         raise AlgorithmError(
             f"robot {robot} is at {here.place} with {[*here.here]} at tick {step.tick}; by its copy of "
             f"the team's state it is at {place}, and there are {[*beside]}"
@@ -178,14 +179,11 @@ class PhasedRobot:
             if not self._hears_of_loss():
                 await self._phase()
                 continue
-            found = await regroup_later(
+            self.before, self.step, self.here, decision = await regroup_by_words(
                 self._body, self._paths, (self.before, self.step), self.lost, self.here
             )
-            if found is None:
-                break  # all are at the root, and so is this robot: they had its word
-            self.before, self.step, self.here, unsaid = found
-            self._unsaid = () if unsaid is None else (unsaid,)
-        return self._body.last_words(messages=(*self._unsaid, DONE))
+            self._unsaid = (encode(decision),)
+        return self._body.last_words(messages=self._unsaid)
 
     def _hears_of_loss(self) -> bool:
         return not self.lost.issuperset(self.here.losses)

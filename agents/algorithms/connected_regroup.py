@@ -5,7 +5,7 @@ the lost one. A loss may cut the team into parts that cannot reach each other, a
 be lost meanwhile, out of everybody's hearing. The rules below need no more than that each robot knows
 the last step that all of them shared.
 
-In lockstep (`regroup`)
+In lockstep (`regroup_in_lockstep`)
     The *meeting vertex* is the highest one that the team was to hold when the loss became known, which
     all know. In each tick every robot says where it is, and so knows its part of the team. The part
     that holds the meeting vertex stays where it is; the robots of any other go up by one edge. So
@@ -22,19 +22,19 @@ In lockstep (`regroup`)
     stood D edges below the highest vertex that the team held when the losses began, or was to hold.
     After a single loss it is one tick, if one place was left.
 
-On the event clock (`regroup_later`)
+On the event clock (`regroup_by_words`)
     Nobody can tell a lost robot from a slow one, so the beacon has to be heard everywhere. All go up to
-    the meeting vertex and say, once there, what they know: who is lost, and which step they shared
-    last. Some may have begun one step more than others; so the vertices of two robots are the same or
-    adjacent, which is contact enough. A robot goes on once it has heard everybody who is left
-    say that the same robots are lost; all go on from the last step that they have in common. Who hears
-    something new repeats what it knows, so that those who came last hear it too. If that step is the
-    end, robots say so as they stop, for one who lacks the word of a robot that was lost meanwhile.
+    the meeting vertex and say, once there, what they know: who is lost, and their last two steps.
+    Some may have begun one step more than others; so the vertices of two robots are the same or
+    adjacent, which is contact enough. Who hears something new repeats what it knows, so that those who
+    came last hear it too. A robot goes on once it has heard everybody who is left say that the same
+    robots are lost, from the last step that they have in common, and says so; who hears that goes on in
+    the same way, though a further robot be lost meanwhile, whose word it lacks.
 
     Bound: as many moves, one after another, as above.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
 from msgspec import Struct
@@ -47,36 +47,54 @@ from protocol.errors import AlgorithmError
 from protocol.messages import Sight
 
 
-class Status(Struct, frozen=True, array_like=True, tag="status"):
-    """What a robot says while the team finds together.
+class Status(Struct, frozen=True, array_like=True):
+    """What a robot says in lockstep, in each tick, while the team finds together.
 
     Attributes:
         at: the vertex where it is.
         lost: the robots of whose loss it knows, ascending.
         since: since when its part has held the meeting vertex; ``None``: it does not.
-        step: on the event clock: the last one that it knew, as `Step.order`.
     """
 
     at: int
     lost: tuple[int, ...]
-    since: float | None = None
-    step: tuple[int, int] = (0, 0)
+    since: float | None
 
 
-DONE = b"\1"
-"""On the event clock, the last word of each robot: all is covered. That never becomes untrue."""
+class Word(Struct, frozen=True, array_like=True, tag="word"):
+    """What a robot says on the event clock once it is at its meeting vertex.
 
-_decode = msgspec.msgpack.Decoder(Status).decode
+    Attributes:
+        at: that vertex.
+        lost: the robots of whose loss it knows, ascending.
+        steps: the digests of the last two steps that it knew.
+    """
+
+    at: int
+    lost: tuple[int, ...]
+    steps: tuple[bytes, bytes]
 
 
-def statuses(here: Sight) -> dict[int, Status]:
-    """Return the last status of each robot that was heard, without digests said before the loss."""
-    words = here.inbox
-    return {sender: _decode(word) for sender, word in words if not is_digest(word) and word != DONE}
+class Decision(Struct, frozen=True, array_like=True, tag="decision"):
+    """What a robot says on the event clock as it goes on.
+
+    Attributes:
+        lost: the robots without which.
+        step: digest of the step from which.
+        part: where each robot is.
+    """
+
+    lost: tuple[int, ...]
+    step: bytes
+    part: dict[int, int]
+
+
+_status = msgspec.msgpack.Decoder(Status).decode
+_word: Callable[[bytes], Word | Decision] = msgspec.msgpack.Decoder(Word | Decision).decode
 
 
 def is_digest(message: bytes) -> bool:
-    """Tell the digest of a robot's copy of the team's state from a `Status`, which is longer."""
+    """Tell the digest of a robot's copy of the team's state from all else, which is longer."""
     return len(message) == DIGEST_BYTES
 
 
@@ -85,7 +103,7 @@ def meeting_vertex(paths: Paths, at: Iterable[int]) -> int:
     return max(at, key=paths.tree.heights.__getitem__)
 
 
-async def regroup(
+async def regroup_in_lockstep(
     body: Body, paths: Paths, step: Step, expected: Mapping[int, int], here: Sight
 ) -> tuple[Step, Sight]:
     """Find the others after a loss, in lockstep.
@@ -111,7 +129,8 @@ async def regroup(
             since = None
         said = Status(here.place, tuple(sorted(lost)), since)
         here = await body.exchange(encode(said))
-        heard = {**statuses(here), body.robot: said}
+        heard = {sender: _status(word) for sender, word in here.inbox}
+        heard[body.robot] = said
         lost.update(here.losses, *(status.lost for status in heard.values()))
         part = part_of(
             body.robot, paths, {r: status.at for r, status in heard.items() if r not in lost}
@@ -143,9 +162,9 @@ def part_of(robot: int, paths: Paths, at: Mapping[int, int]) -> dict[int, int]:
     return {other: place for other, place in at.items() if root_of[place] == own}
 
 
-async def regroup_later(
+async def regroup_by_words(
     body: Body, paths: Paths, steps: tuple[Step, Step], lost: set[int], here: Sight
-) -> tuple[Step, Step, Sight, bytes | None] | None:
+) -> tuple[Step, Step, Sight, Decision]:
     """Find the others after a loss, on the event clock.
 
     Args:
@@ -157,47 +176,59 @@ async def regroup_later(
 
     Returns:
         The step that all shared, the one with which the team goes on, what the robot saw last (it may
-        tell of further losses), and what is still to be said. ``None``: others have found that all is
-        covered, and have stopped.
+        tell of further losses), and what it has to say as it goes on.
 
     Raises:
         AlgorithmError: If the robots shared no step.
     """
     # Some may have gone on from the step before they heard of the loss.
     meeting = meeting_vertex(paths, (*steps[1].at.values(), *steps[1].moves.values()))
-    own: Status | None = None
-    heard: dict[int, Status] = {}
+    known = {step.digest: step for step in steps}
+    heard: dict[int, Word] = {}
+    own: Word | None = None
     while True:
-        if any(word == DONE for _, word in here.inbox):
-            return None
         # Words come before losses: another may go on by them before it hears of the next loss.
-        news = {robot: word for robot, word in statuses(here).items() if heard.get(robot) != word}
-        heard.update(news)
-        unsaid = bool(news)
-        if own is None or not _all_say_the_same(body, heard, own):
+        before = dict(heard)
+        decision: Decision | None = None
+        for sender, message in here.inbox:
+            word = None if is_digest(message) else _word(message)
+            if isinstance(word, Word):
+                heard[sender] = word
+            elif word is not None and word.part.keys() < steps[1].at.keys():
+                decision = word  # not one by which this robot has gone on already
+        if decision is None and own is not None:
+            decision = _decided(body, heard, own)
+        if decision is None:
             lost.update(here.losses)
             if here.place != meeting:
                 here = await body.move(paths.up[here.place])
                 continue
-            said, own = own, Status(here.place, tuple(sorted(lost)), None, steps[1].order)
+            own = Word(here.place, tuple(sorted(lost)), (steps[0].digest, steps[1].digest))
             heard[body.robot] = own
-            unsaid = unsaid or own != said
-            if not _all_say_the_same(body, heard, own):
-                here = await body.wait_for_news(messages=(encode(own),) if unsaid else ())
-                continue
-        part = {robot: word.at for robot, word in heard.items() if robot not in own.lost}
-        shared = min(heard[robot].step for robot in part)
-        for step in steps:
-            if step.order == shared:
-                last = encode(own) if unsaid else None
-                return step, step.regrouped(step.tick + 1, part), here, last
-        raise AlgorithmError(
-            f"robot {body.robot} knows steps {[step.order for step in steps]} of the team, and some "
-            f"other one only {shared}"
-        )
+            decision = _decided(body, heard, own)
+        if decision is not None:
+            lost.update(decision.lost)
+            shared = known.get(decision.step)
+            if shared is None:
+                raise AlgorithmError(
+                    f"robot {body.robot} does not know the step that others go on from"
+                )
+            return shared, shared.regrouped(shared.tick + 1, decision.part), here, decision
+        here = await body.wait_for_news(messages=(encode(own),) if heard != before else ())
 
 
-def _all_say_the_same(body: Body, heard: Mapping[int, Status], own: Status) -> bool:
-    """Tell whether all who are left were heard, and know of the same losses."""
+def _decided(body: Body, heard: Mapping[int, Word], own: Word) -> Decision | None:
+    """Decide how to go on if all who are left were heard, and know of the same losses.
+
+    Raises:
+        AlgorithmError: If they share no step.
+    """
     left = set(range(body.team_size)).difference(own.lost)
-    return all(robot in heard and heard[robot].lost == own.lost for robot in left)
+    if not all(robot in heard and heard[robot].lost == own.lost for robot in left):
+        return None
+    for step in reversed(own.steps):
+        if all(step in heard[robot].steps for robot in left):
+            return Decision(own.lost, step, {robot: heard[robot].at for robot in sorted(left)})
+    raise AlgorithmError(
+        f"robot {body.robot} shares no step of the team with all of {sorted(left)}"
+    )
