@@ -28,7 +28,7 @@ SEARCHES = 20
 
 def planned(grid: Grid, reach: Reach) -> tuple[Choice, Plan]:
     """Plan for a team that starts at the first parent vertex chosen."""
-    chosen = choose(grid, reach.limit)
+    chosen = choose(grid, reach)
     start = chosen.parents[0]
     return chosen, plan_team(
         Zones(grid, chosen.sights.seen),
@@ -63,10 +63,10 @@ def main() -> None:
         (60, Reach.of_lengths(1.0, 0.5), repeats),
         (60, Reach.of_lengths(2.5, 0.5), repeats),
         (60, Reach.of_lengths(7.5, 0.5), repeats),
-        (512, Reach(99, 10), 1),
+        (512, Reach.of_limit(99), 1),
     ):
         grid = rectangles(side, side, 0.2, spawn(0, "world"))
-        stops = choose(grid, reach.limit).parents
+        stops = choose(grid, reach).parents
         some = stops[:: -(-len(stops) // SEARCHES)]
         pairs = []
         for _ in range(times):

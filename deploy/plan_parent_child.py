@@ -184,7 +184,7 @@ def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
     began = time.perf_counter()
     reach = _reach(wanted)
     start = None if wanted.start is None else _start(grid, wanted.start)
-    chosen = choose(grid, reach.limit, start)
+    chosen = choose(grid, reach, start)
     start = start or chosen.parents[0]
     children = wanted.children or CHILDREN
     planner = TeamsPlanner(chosen, start, children=children, in_file=reach.in_file)

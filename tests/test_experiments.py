@@ -302,7 +302,10 @@ def test_the_command_prints_one_object(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["nonesuch"], "paper nonesuch: no such paper; expected connected, mstc, ormstc, parent-child"),
+        (
+            ["nonesuch"],
+            "paper nonesuch: no such paper; expected connected, mstc, ormstc, parent-child",
+        ),
         (
             ["ormstc", "--only", "x"],
             "--only x: no such part of the paper; expected one of figure13",

@@ -263,7 +263,7 @@ def test_parent_vertices_are_those_of_the_reference(name: str) -> None:
     told = read_instance(shared("spec", "instances", f"{name}.txt"))
     grid = Grid.of_text("\n".join(told.rows))
     for radius in told.others["radii"]:
-        chosen = choose(grid, int(radius))
+        chosen = choose(grid, Reach.of_limit(int(radius)))
         found = {
             "maxLOS": chosen.los_max,
             "sumLOS": chosen.los_sum,
@@ -284,17 +284,15 @@ def test_views_are_by_the_rule(case: Case) -> None:
 @given(cases())
 def test_each_parent_vertex_has_the_largest_weight(case: Case) -> None:
     """Sec. 3.3, recomputed from scratch for each choice."""
-    chosen = choose(case.grid, case.sight.limit, case.parent)
+    limit = case.sight.limit
+    reach = Reach(limit, near=4 * limit + 1, in_file=1)
+    chosen = choose(case.grid, reach, case.parent)
     left = case.grid.reachable([case.parent])
     assert chosen.vertices == len(left)
     parents: list[Cell] = []
     for parent in chosen.parents:
         worth = {cell: (9 - _around(cell, left)) ** 2 for cell in left}
-        near = [
-            cell
-            for cell in left
-            if any(_squared(cell, one) <= 4 * (case.sight.limit + 1) for one in parents)
-        ]
+        near = [cell for cell in left if any(_squared(cell, one) <= reach.near for one in parents)]
         weights = {
             cell: sum(worth.get(seen, 0) for seen in case.sight.of(cell)) for cell in near or left
         }
@@ -317,15 +315,15 @@ def _squared(one: Cell, other: Cell) -> int:
 @pytest.mark.parametrize(
     ("r_los_m", "spacing_m", "expected"),
     [
-        (2.5, 0.5, (24, 5)),
-        (1.0, 0.5, (3, 2)),
-        (7.5, 0.5, (224, 15)),
-        (0.3, 0.1, (8, 3)),
-        (1.1, 0.5, (4, 2)),
+        (2.5, 0.5, (24, 100, 5)),
+        (1.0, 0.5, (3, 16, 2)),
+        (7.5, 0.5, (224, 900, 15)),
+        (0.3, 0.1, (8, 36, 3)),
+        (1.1, 0.5, (4, 19, 2)),
     ],
 )
 def test_a_radius_is_out_of_sight_itself(
-    r_los_m: float, spacing_m: float, expected: tuple[int, int]
+    r_los_m: float, spacing_m: float, expected: tuple[int, int, int]
 ) -> None:
     assert Reach.of_lengths(r_los_m, spacing_m) == expected
 
@@ -344,7 +342,7 @@ def trend(
     reach = Reach.of_lengths(r_los_m, 0.5)
     parents, steps = 0, [0] * len(teams)
     for seed in range(seeds):
-        chosen = choose(rectangles(60, 60, ratio, spawn(seed, "world")), reach.limit)
+        chosen = choose(rectangles(60, 60, ratio, spawn(seed, "world")), reach)
         parents += len(chosen.parents)
         zones = Zones(chosen.sights.grid, chosen.sights.seen)
         start = chosen.parents[0]
@@ -408,7 +406,7 @@ def test_the_command_prints_the_plan(facts: Callable[..., dict[str, Any]], tmp_p
     told = facts(tmp_path / "room.txt", "--r-los", 2.5, "--spacing", 0.5, "--robots", 3)
     same = facts(tmp_path / "room.txt", "--los-cells-squared", 24, "--robots", 3)
     assert {**told, "seconds": 0} == {**same, "seconds": 0}
-    chosen = choose(Grid.of_text(ROOM), 24)
+    chosen = choose(Grid.of_text(ROOM), Reach.of_limit(24))
     assert (told["vertices"], told["los_max"], told["los_sum"]) == (
         38,
         chosen.los_max,

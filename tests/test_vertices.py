@@ -45,7 +45,7 @@ def test_weights_follow_what_is_covered(grid: Grid, limit: int, data: st.DataObj
     left = grid.reachable(grid.free_cells()[:1])
     for cell in left:
         part[cell] = True
-    choice = _Choice(views, part)
+    choice = _Choice(views, limit, part)
     while left:
         around = {
             (row, col): sum(

@@ -8,7 +8,8 @@ reached it by radio; nobody tells it the truth.
 As long as no loss is heard of, every robot knows what the others do, since all follow one rule and,
 in lockstep, moves take one tick. Silence means that all went as agreed. In each tick one robot, each in
 its turn, says a digest of its copy, and every other compares it with its own. Each robot also compares
-who stands beside it with what its copy says. Whoever finds a difference says who differs, and fails.
+how many stand beside it with what its copy says. Whoever finds a difference says who differs, and
+fails.
 
 Assumes: a radio that reaches adjacent places, and all that are connected by others (`relay`); at once,
 without loss. A beacon of each robot that these hear, so that they notice when it falls silent
@@ -142,8 +143,8 @@ def compare(robot: int, here: Sight, before: Step, step: Step) -> None:
     """
     place = step.at[robot]
     beside = step.robots_at[place]
-    alike = len(here.here) + 1 == len(beside) and (not here.here or {*here.here} < {*beside})
-    if here.place != place or not alike:
+    # How many stand here is enough: another robot in the place of one is missing where it should be.
+    if here.place != place or len(here.here) + 1 != len(beside):
         raise AlgorithmError(
             f"robot {robot} is at {here.place} with {[*here.here]} at tick {step.tick}; by its copy of "
             f"the team's state it is at {place}, and there are {[*beside]}"

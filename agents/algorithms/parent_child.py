@@ -96,7 +96,7 @@ def land_of(rows: int, cols: int, blocked: bytes, start: Cell, range_cells: floa
 
     grid = Grid(rows, cols, blocked)
     reach = Reach.of_lengths(range_cells, 1)
-    choice = choose(grid, reach.limit, start)
+    choice = choose(grid, reach, start)
     zones = Zones(grid, choice.sights.seen)
     vertices = frozenset(grid.reachable([start]))
     return Land(zones, tuple(choice.parents), vertices, reach.in_file)

@@ -30,22 +30,24 @@ class Reach(NamedTuple):
 
     Attributes:
         limit: the largest squared distance in cells that is in sight.
+        near: the largest squared distance in cells within f = 2 r_los, for the next parent vertex.
         in_file: children that fit into the line of sight one behind the other: r_los / d, rounded down.
     """
 
     limit: int
+    near: int
     in_file: int
 
     @classmethod
     def of_lengths(cls, r_los_m: float, spacing_m: float) -> "Reach":
         """Take a radius and the spacing of vertices, exactly as they are written in decimals."""
         ratio = Fraction(str(r_los_m)) / Fraction(str(spacing_m))
-        return cls(ceil(ratio * ratio) - 1, floor(ratio))
+        return cls(ceil(ratio * ratio) - 1, floor(4 * ratio * ratio), floor(ratio))
 
     @classmethod
     def of_limit(cls, limit: int) -> "Reach":
         """Take the limit; the radius is the least one that has it, rounded up to a whole square."""
-        return cls(limit, isqrt(limit + 1))
+        return cls(limit, 4 * (limit + 1), isqrt(limit + 1))
 
 
 class Views:
@@ -174,23 +176,23 @@ class Choice(NamedTuple):
     los_sum: int
 
 
-def choose(grid: Grid, limit: int, start: Cell | None = None) -> Choice:
+def choose(grid: Grid, reach: Reach, start: Cell | None = None) -> Choice:
     """Choose where a parent has to stand to see one connected part of a grid.
 
     Args:
         grid: the map; at least one cell is free.
-        limit: the largest squared distance in sight, at least 1.
+        reach: how far a parent sees; neighbours at least.
         start: a free cell of the part; ``None``: the largest part, of equals the first row by row.
     """
-    sights = Views(grid, limit)
+    sights = Views(grid, reach.limit)
     part = np.zeros_like(sights.free)
     rows, cols = zip(*(grid.reachable([start]) if start else _largest(grid)), strict=True)
     part[list(rows), list(cols)] = True
-    counts = counts_in_sight(grid, limit)[part]
+    counts = counts_in_sight(grid, reach.limit)[part]
     return Choice(
         sights,
         int(part.sum()),
-        parent_vertices(sights, part),
+        parent_vertices(sights, reach.near, part),
         int(counts.max()),
         int(counts.sum()),
     )
@@ -208,17 +210,18 @@ def _largest(grid: Grid) -> set[Cell]:
     return best
 
 
-def parent_vertices(sights: Views, part: Mask) -> list[Cell]:
+def parent_vertices(sights: Views, near: int, part: Mask) -> list[Cell]:
     """Choose vertices from which all are seen, by the paper's greedy rule.
 
     Args:
         sights: who sees whom.
+        near: the largest squared distance to a parent vertex chosen before.
         part: the vertices to see: connected parts as a whole, as nobody sees from one into another.
 
     Returns:
         The vertices in the order chosen.
     """
-    return _Choice(sights, part).all()
+    return _Choice(sights, near, part).all()
 
 
 class _Choice:
@@ -228,8 +231,9 @@ class _Choice:
         weights: what a parent there would be worth, w(v).
     """
 
-    def __init__(self, sights: Views, part: Mask) -> None:
+    def __init__(self, sights: Views, near: int, part: Mask) -> None:
         self._sights = sights
+        self._most = near
         self._left = part.copy()
         self._rows, self._cols = part.shape
         self._near = np.zeros_like(part)
@@ -279,7 +283,7 @@ class _Choice:
 
     def _draw_near(self, cell: Cell) -> None:
         """Let all cells within f of a chosen vertex be candidates."""
-        most = 4 * (self._sights.limit + 1)
+        most = self._most
         for down in range(-isqrt(most), isqrt(most) + 1):
             row, right = cell[0] + down, isqrt(most - down * down)
             if 0 <= row < self._rows:
