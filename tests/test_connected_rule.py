@@ -777,7 +777,7 @@ def test_a_run_may_be_cut_short() -> None:
 @pytest.mark.parametrize("variant", BOTH)
 @given(trees())
 def test_one_robot_goes_around_the_tree(variant: Variant, tree: RootedTree) -> None:
-    order = []
+    order: list[int] = []
     ticks = play(Team(tree, 1, variant), lambda team: order.extend(team.at.values()))
     assert ticks == 2 * (len(tree) - 1)
     assert set(order) == set(range(len(tree)))

@@ -139,8 +139,8 @@ def test_without_obstacles_the_table_is_the_papers() -> None:
 
 @pytest.mark.parametrize(("r_los_m", "parents"), [(1.0, 368), (2.5, 77), (7.5, 27)])
 def test_parents_are_as_many_as_specified(r_los_m: float, parents: int) -> None:
-    limit = Reach.of_lengths(r_los_m, 0.5).limit
-    found = [len(choose(Case(0.2, r_los_m, 1, seed).grid, limit).parents) for seed in range(8)]
+    reach = Reach.of_lengths(r_los_m, 0.5)
+    found = [len(choose(Case(0.2, r_los_m, 1, seed).grid, reach).parents) for seed in range(8)]
     assert mean(found) == pytest.approx(parents, rel=0.02, abs=4)
 
 

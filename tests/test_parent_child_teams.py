@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
     @property
     def chosen(self) -> Choice:
-        return choose(self.grid, self.limit, self.start)
+        return choose(self.grid, Reach.of_limit(self.limit), self.start)
 
     @property
     def planner(self) -> TeamsPlanner:
@@ -172,7 +172,7 @@ def test_two_teams_in_a_corridor_go_to_both_ends() -> None:
 @pytest.mark.slow
 def test_teams_on_the_maps_of_the_paper_share_the_time_about_evenly() -> None:
     reach = Reach.of_lengths(2.5, 0.5)
-    chosen = choose(rectangles(60, 60, 0.2, spawn(0, "world")), reach.limit)
+    chosen = choose(rectangles(60, 60, 0.2, spawn(0, "world")), reach)
     start = chosen.parents[0]
     planner = TeamsPlanner(chosen, start, children=6, in_file=reach.in_file)
     times = []

@@ -262,7 +262,7 @@ def test_generated_grids_come_from_the_seed(kind: str) -> None:
 
 def test_rectangles_come_from_the_seed() -> None:
     world = {"generate": {"kind": "rectangles", "rows": 15, "cols": 12, "ratio": 0.25}}
-    family = {"algorithm": "parent-child", "radio": {"radius_m": 2.5}}
+    family: dict[str, Any] = {"algorithm": "parent-child", "radio": {"radius_m": 2.5}}
     settings = [prepare(scenario_of(world, **family, seed=seed)) for seed in (1, 1, 2)]
     first, same, other = (setting.ground for setting in settings)
     assert isinstance(first, Grid)

@@ -176,7 +176,7 @@ class TeamsPlanner:
         mask = np.zeros_like(self._chosen.sights.free)
         rows, cols = zip(*(self._cells[place] for place in part), strict=True)
         mask[list(rows), list(cols)] = True
-        return parent_vertices(self._chosen.sights, mask)
+        return parent_vertices(self._chosen.sights, self._chosen.reach.near, mask)
 
     # What is guessed.
 

@@ -163,12 +163,14 @@ class Choice(NamedTuple):
     """What is to be covered, and from where.
 
     Attributes:
+        reach: how far a parent sees.
         sights: who sees whom.
         vertices: how many there are, the paper's P.
         parents: where a parent has to stand to see them all, in the order chosen; the paper's Q many.
         los_max, los_sum: vertices in sight of a vertex, itself included: the most, and of all together.
     """
 
+    reach: Reach
     sights: Views
     vertices: int
     parents: list[Cell]
@@ -190,6 +192,7 @@ def choose(grid: Grid, reach: Reach, start: Cell | None = None) -> Choice:
     part[list(rows), list(cols)] = True
     counts = counts_in_sight(grid, reach.limit)[part]
     return Choice(
+        reach,
         sights,
         int(part.sum()),
         parent_vertices(sights, reach.near, part),
