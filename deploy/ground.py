@@ -1,6 +1,6 @@
 """The ground of a run: the graph or grid that a scenario names, and where on it the robots start."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from msgspec import Struct
@@ -47,16 +47,58 @@ class Started(Struct, frozen=True):
 def ground_of(scenario: Scenario) -> tuple[Ground, tuple[str, ...]]:
     """Read or generate the whole ground, and say what the user should know of it.
 
+    A grid stays one unless the scenario says ``world.ground = "graph"``.
+
     Raises:
-        ScenarioError: If a generator's parameters do not fit.
+        ScenarioError: If a generator's parameters do not fit, or the map is not what is asked for.
         MapError: If the map cannot be read.
     """
     world = scenario.world
-    if world.map is not None:
+    if world.map is None:
+        ground, notes = _generated(scenario), ()
+    else:
         found = read_map(Path(world.map), cell_m=world.cell_m, resolution_m=world.resolution_m)
-        return (found.grid, found.notes) if isinstance(found, GridFile) else (found, ())
+        ground, notes = (found.grid, found.notes) if isinstance(found, GridFile) else (found, ())
+    if isinstance(ground, Grid):
+        return (graph_of(ground) if world.ground == "graph" else ground), notes
+    if world.ground == "grid":
+        raise ScenarioError("field `world.ground`: found 'grid'; the map is a graph")
+    for field, value in (("cell_m", world.cell_m), ("resolution_m", world.resolution_m)):
+        if value is not None:
+            raise ScenarioError(f"field `world.{field}`: found {value!r}, which is for grids only")
+    return ground, notes
+
+
+def graph_of(grid: Grid) -> PortGraph:
+    """Return the free sub-cells as vertices, called ``"row,column"``, and an edge between neighbours.
+
+    Those of the largest part come first, row by row. Edges are as long as a sub-cell is wide.
+    """
+    parts = parts_of(grid.free_cells(), grid.reachable)
+    number = {cell: vertex for vertex, cell in enumerate(cell for part in parts for cell in part)}
+    ends = [
+        (vertex, number[beside])
+        for (row, col), vertex in number.items()
+        for beside in ((row, col + 1), (row + 1, col))
+        if beside in number
+    ]
+    return PortGraph(
+        [f"{row},{col}" for row, col in number],
+        ends,
+        [grid.cell_m] * len(ends),
+        [(float(col), -float(row)) for row, col in number],
+    )
+
+
+def _generated(scenario: Scenario) -> Ground:
+    """Generate the ground, sub-cells as wide as the scenario says.
+
+    Raises:
+        ScenarioError: If the parameters do not fit.
+    """
+    world = scenario.world
     try:
-        ground = _generated(scenario)
+        ground = _drawn_by_generator(scenario)
     except ValueError as error:
         raise ScenarioError(f"field `world.generate`: {error}") from None
     if isinstance(ground, Grid):
@@ -67,10 +109,10 @@ def ground_of(scenario: Scenario) -> tuple[Ground, tuple[str, ...]]:
             )
         if world.cell_m is not None:
             ground = Grid(ground.rows, ground.cols, ground.cells(), world.cell_m)
-    return ground, ()
+    return ground
 
 
-def _generated(scenario: Scenario) -> Ground:
+def _drawn_by_generator(scenario: Scenario) -> Ground:
     """Generate the ground.
 
     Raises:
@@ -167,8 +209,9 @@ def _vertices(scenario: Scenario, graph: PortGraph) -> tuple[int, ...]:
 
 
 def _vertex(graph: PortGraph, name: Start, field: str) -> int:
+    called = f"{name[0]},{name[1]}" if isinstance(name, tuple) else str(name)
     try:
-        return graph.vertex(str(name))
+        return graph.vertex(called)
     except KeyError:
         some = ", ".join(map(repr, graph.names[:3]))
         raise ScenarioError(
@@ -221,24 +264,33 @@ def _drawn(grid: Grid, scenario: Scenario, robots: int, *, cells: bool) -> list[
 
     A team that no part holds starts in several: the largest, and the next ones as far as needed.
     """
-    whole = grid.complete_cells() if cells else grid.free_cells()
-    flood = grid.reachable_cells if cells else grid.reachable
-    seen: set[Cell] = set()
-    parts: list[set[Cell]] = []
-    for cell in whole:
-        if cell not in seen:
-            parts.append(flood([cell]))
-            seen |= parts[-1]
-    parts.sort(key=len, reverse=True)
+    if cells:
+        parts = parts_of(grid.complete_cells(), grid.reachable_cells)
+    else:
+        parts = parts_of(grid.free_cells(), grid.reachable)
     among: list[Cell] = []
     for part in parts:
         if len(among) >= robots:
             break
-        among += (one for cell in sorted(part) for one in (sub_cells(cell) if cells else (cell,)))
+        among += (one for cell in part for one in (sub_cells(cell) if cells else (cell,)))
     if len(among) < robots:
         kind = "sub-cells of complete coarse cells" if cells else "free sub-cells"
         raise ScenarioError(f"field `team.robots`: found {robots}; there are {len(among)} {kind}")
     return spawn(scenario.seed, "starts").sample(among, robots)
+
+
+def parts_of(
+    cells: Iterable[Cell], reachable: Callable[[Sequence[Cell]], set[Cell]]
+) -> list[list[Cell]]:
+    """Divide cells into those that can be reached from each other; the largest part comes first."""
+    seen: set[Cell] = set()
+    parts: list[list[Cell]] = []
+    for cell in cells:
+        if cell not in seen:
+            part = reachable([cell])
+            parts.append(sorted(part))
+            seen |= part
+    return sorted(parts, key=len, reverse=True)
 
 
 def _sub_cell(grid: Grid, start: Start, field: str, *, cells: bool) -> Cell:

@@ -77,7 +77,8 @@ def prepare(scenario: Scenario) -> Setting:
         ScenarioError: If a field does not fit the place or the algorithm.
         MapError: If the map cannot be read.
     """
-    algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
+    algorithm_of(scenario.algorithm, scenario.algorithm_options)  # refuses what is none
+    scenario = _with_ground(scenario)
     whole, notes = ground_of(scenario)
     scenario = _filled_in(scenario, whole)
     _check_kind(scenario, whole)
@@ -94,6 +95,7 @@ def prepare(scenario: Scenario) -> Setting:
     _check_database(scenario)
     scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
     notes = (*notes, *found.notes)
+    algorithm = algorithm_of(scenario.algorithm, scenario.algorithm_options)
     return Setting(scenario, found.ground, found.starts, algorithm, found.to_cover, notes)
 
 
@@ -102,12 +104,23 @@ def tag_format_of(scenario: Scenario) -> str:
     return tag_format(scenario.algorithm, scenario.algorithm_options, scenario.team.robots)
 
 
+def _with_ground(scenario: Scenario) -> Scenario:
+    """Play a grid as a graph for an algorithm that plays on graphs."""
+    name = plain_name(scenario.algorithm)
+    if scenario.world.ground is not None or name not in ALGORITHMS or name in GRID_ALGORITHMS:
+        return scenario
+    return replace(scenario, world=replace(scenario.world, ground="graph"))
+
+
 def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
     """Fill in what the scenario leaves to the algorithm and the place."""
     name = plain_name(scenario.algorithm)
     assumed = ASSUMED.get(name, {})
     radio, sensing, device = scenario.radio, scenario.sensing, scenario.device
-    team = scenario.team
+    team, world = scenario.team, scenario.world
+    on_grid = isinstance(ground, Grid)
+    if world.ground is None:
+        world = replace(world, ground="grid" if on_grid else "graph")
     if team.parents is None:
         team = replace(team, parents=assumed.get("team.parents"))
     if name in PARENT_ALGORITHMS:
@@ -130,13 +143,15 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
         heard = "global" if scenario.clock.mode == "event" else assumed.get("radio.heartbeat")
         radio = replace(radio, heartbeat=heard or "global")
     if sensing.mode is None:
-        usual = "three" if isinstance(ground, Grid) else "ports"
+        usual = "three" if on_grid else "ports"
         sensing = replace(sensing, mode=assumed.get("sensing.mode", usual))
     if sensing.map is None:
         sensing = replace(sensing, map=assumed.get("sensing.map", False))
     if device.capacity_bytes is None and name in ALGORITHMS and name not in TAG_BYTES:
         device = replace(device, capacity_bytes=0)
-    return replace(scenario, team=team, radio=radio, sensing=sensing, device=device)
+    return replace(
+        scenario, world=world, team=team, radio=radio, sensing=sensing, device=device
+    )
 
 
 def _check_kind(scenario: Scenario, ground: Ground) -> None:
@@ -162,8 +177,6 @@ def _check_kind(scenario: Scenario, ground: Ground) -> None:
         return
     world = scenario.world
     for field, value, usual in (
-        ("world.cell_m", world.cell_m, None),
-        ("world.resolution_m", world.resolution_m, None),
         ("world.bodies", world.bodies, "pass"),
         ("world.starts", "random" if world.starts == "random" else None, None),
         ("sensing.position", scenario.sensing.position, "known"),

@@ -114,9 +114,13 @@ class WorldSection(Section, frozen=True, kw_only=True):
 
     map: str | None = None  #: Map file, absolute or relative to the scenario.
     generate: Generator | None = None  #: A generator (``kind``) and its parameters.
+    ground: Literal["graph", "grid"] | None = None
+    #: What the map is played as. A grid can be played as a graph: a vertex for each free sub-cell,
+    #: called ``"row,column"``, an edge to each that it shares a side with. Default: a graph for the
+    #: algorithms that play on graphs, else what the map is.
     start: Start | None = None
     #: Start of all robots: a vertex, on a grid a sub-cell ``[row, column]``. Default: on a graph the
-    #: first vertex of the file, on a grid as ``starts = "random"``.
+    #: first vertex of the file (of a grid: of its largest part), on a grid as ``starts = "random"``.
     starts: tuple[Start, ...] | Literal["random"] | None = None
     #: Start of each robot instead; ``"random"``: drawn from the seed, no two alike, in the largest part
     #: of a grid (in several where none holds the team). Algorithm ``parent-child``, by default: all on

@@ -7,8 +7,11 @@ from typing import Any
 
 import pytest
 
+from agents.algorithms import connected
 from deploy.judged import judge_journal
+from deploy.setting import prepare
 from protocol.graph import PortGraph
+from protocol.scenario import from_tree
 from tests.play import tree_of
 from tests.runs import Started, play, requests_of, run_cli, send, setting_of, started_cli, until
 from tests.test_connected import fields_of, with_losses
@@ -52,6 +55,18 @@ def test_one_trace_with_kills(
     options = {"splits": [5]}
     lost = both(tmp_path, TRAIL, 6, "ncocta", options=options, clock=clock, faults=faults)
     assert lost == [1, 2, 4]
+
+
+@pytest.mark.parametrize("algorithm", ["cocta", "cocta-best"])
+def test_a_plan_is_made_once_for_all(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generate = {"kind": "cave", "vertices": 30}
+    tree = {"algorithm": algorithm, "world": {"generate": generate}, "team": {"robots": 4}}
+    options = {"splits": "best"}
+    setting = prepare(from_tree({**tree, "algorithm_options": options}, "test"))
+    monkeypatch.setattr(connected, "planned", None)
+    assert play(setting, tmp_path, "inprocess").failures == {}
 
 
 def check_many(seed: int, folder: Path) -> None:

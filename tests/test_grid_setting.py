@@ -290,11 +290,15 @@ def test_an_algorithm_of_ours_plays_where_it_can(room: str) -> None:
     assert refusal(scenario_of(GRAPH)) == (
         "field `algorithm`: ormstc plays on a grid, found a graph"
     )
-    assert refusal(scenario_of({"map": room}, algorithm="mr-dfs")) == (
-        "field `algorithm`: mr-dfs plays on a graph, found a grid"
+    for name in ("mr-dfs", "MR_DFS"):
+        assert refusal(scenario_of({"map": room, "ground": "grid"}, algorithm=name)) == (
+            "field `algorithm`: mr-dfs plays on a graph, found a grid"
+        )
+    assert refusal(scenario_of({"map": room, "ground": "graph"})) == (
+        "field `algorithm`: ormstc plays on a grid, found a graph"
     )
-    assert refusal(scenario_of({"map": room}, algorithm="MR_DFS")) == (
-        "field `algorithm`: mr-dfs plays on a graph, found a grid"
+    assert refusal(scenario_of({**GRAPH, "ground": "grid"})) == (
+        "field `world.ground`: found 'grid'; the map is a graph"
     )
 
 
