@@ -54,11 +54,16 @@ def ground_of(scenario: Scenario) -> tuple[Ground, tuple[str, ...]]:
         MapError: If the map cannot be read.
     """
     world = scenario.world
+    ground: Ground
+    notes: tuple[str, ...] = ()
     if world.map is None:
-        ground, notes = _generated(scenario), ()
+        ground = _generated(scenario)
     else:
         found = read_map(Path(world.map), cell_m=world.cell_m, resolution_m=world.resolution_m)
-        ground, notes = (found.grid, found.notes) if isinstance(found, GridFile) else (found, ())
+        if isinstance(found, GridFile):
+            ground, notes = found.grid, found.notes
+        else:
+            ground = found
     if isinstance(ground, Grid):
         return (graph_of(ground) if world.ground == "graph" else ground), notes
     if world.ground == "grid":

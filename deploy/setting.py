@@ -149,9 +149,7 @@ def _filled_in(scenario: Scenario, ground: Ground) -> Scenario:
         sensing = replace(sensing, map=assumed.get("sensing.map", False))
     if device.capacity_bytes is None and name in ALGORITHMS and name not in TAG_BYTES:
         device = replace(device, capacity_bytes=0)
-    return replace(
-        scenario, world=world, team=team, radio=radio, sensing=sensing, device=device
-    )
+    return replace(scenario, world=world, team=team, radio=radio, sensing=sensing, device=device)
 
 
 def _check_kind(scenario: Scenario, ground: Ground) -> None:

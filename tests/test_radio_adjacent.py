@@ -309,7 +309,10 @@ def test_the_radio_section_is_checked(radio: dict[str, Any], said: str | None) -
             {"radio": {"heartbeat": "reach"}, **EVENT},
             "field `radio.heartbeat`: found 'reach'; {} needs 'global'",
         ),
-        ({"world": {**ROOM, "ground": "grid"}}, "field `algorithm`: {} plays on a graph, found a grid"),
+        (
+            {"world": {**ROOM, "ground": "grid"}},
+            "field `algorithm`: {} plays on a graph, found a grid",
+        ),
     ],
     ids=["map", "reach", "relay", "latency", "loss", "duplicate", "starts", "heartbeat", "grid"],
 )
