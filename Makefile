@@ -12,7 +12,7 @@ PYTEST := $(VENV)/bin/python -m pytest
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SILENT:
-.PHONY: help setup demo test test-slow soak check format bench clean distclean
+.PHONY: help setup demo test test-slow test-long soak check format bench clean distclean
 
 help: ## List these targets
 	sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -51,11 +51,14 @@ demo: $(STAMP) ## Set up, then play the demonstration scenario
 	$(VENV)/bin/canopy run deploy/scenarios/demo.toml
 
 test: $(STAMP) ## Run the quick tests
-	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
+	$(PYTEST) -m "not slow and not long" $(PYTEST_ARGS)
 
 # Exit code 5 means that no test is marked so, which is no failure here.
 test-slow: $(STAMP) ## Run the slow tests
 	$(PYTEST) -m slow $(PYTEST_ARGS) || [ $$? -eq 5 ]
+
+test-long: $(STAMP) ## Run the tests that take an hour
+	$(PYTEST) -m long $(PYTEST_ARGS)
 
 soak: $(STAMP) ## Random scenarios under random faults, for MINUTES=10, from SEED
 	$(VENV)/bin/python -m experiments.soak --minutes $(or $(MINUTES),10) $(if $(SEED),--seed $(SEED))

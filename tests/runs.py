@@ -63,14 +63,14 @@ def setting_of(
     return Setting(scenario, graph, tuple(starts or [0] * robots), algorithm, len(graph.names))
 
 
-def play(setting: Setting, folder: Path, engine: str) -> Run:
+def play(setting: Setting, folder: Path, engine: str, limit_s: float = RUN_S) -> Run:
     """Play a setting on an engine, in a new folder under ``folder``, to its end."""
     name = f"test-{uuid.uuid4().hex[:12]}"
     run_dir = RunDir.create(folder / name, name)
     restarts: dict[str, int] = {}
     played = None
     if engine == "processes":
-        played = asyncio.run(_bounded(setting, run_dir, name))
+        played = asyncio.run(_bounded(setting, run_dir, name, limit_s))
         restarts, failures = played.restarts, played.failures
     else:
         failures = inprocess.run(setting, run_dir, name, lambda _: None)
@@ -79,15 +79,17 @@ def play(setting: Setting, folder: Path, engine: str) -> Run:
     return Run(run_dir, closing.trace_sha256, closing.status, failures, restarts, played)
 
 
-async def _bounded(setting: Setting, run_dir: RunDir, name: str) -> processes.Played:
+async def _bounded(
+    setting: Setting, run_dir: RunDir, name: str, limit_s: float
+) -> processes.Played:
     """Play a run by processes; one that hangs is ended, and says what it was about."""
     try:
-        async with asyncio.timeout(RUN_S):
+        async with asyncio.timeout(limit_s):
             return await processes.play(setting, run_dir, name, lambda _: None)
     except TimeoutError:
         logs = [f"{log.name}: {log.read_text()[-500:]}" for log in sorted(run_dir.logs.iterdir())]
         words = [
-            f"{name} hangs: no end after {RUN_S:g} s",
+            f"{name} hangs: no end after {limit_s:g} s",
             *map(str, setting.scenario.faults),
             *logs,
         ]

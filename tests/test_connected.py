@@ -212,6 +212,19 @@ TABLE: list[tuple[int, int, int, list[int], int, int]] = [
 ]
 
 
+def holes(arity: int, height: int, depth: int, every: int, rest: int) -> RootedTree:
+    """Return a perfect tree less every so many vertices of one depth, and what is below them."""
+    first, end = (vertices_of_perfect(arity, last) for last in (depth - 1, depth))
+    return without(perfect_tree(arity, height), range(first + rest, end, every))
+
+
+HOLES = [
+    # tree, vertices, robots, NCOCTA, COCTA; split heights by the formula
+    (holes(2, 10, 6, 4, 1), 1551, 60, 432, 260),
+    (holes(3, 7, 5, 3, 2), 2227, 20, 807, 693),
+]
+
+
 def assert_takes(tree: RootedTree, robots: int, variant: str, splits: Any, ticks: int) -> None:
     """Play a run without losses: complete, connected at the end of every tick, and so long."""
     run = run_of(graph_from(tree), robots, variant, options={"splits": splits})
@@ -253,20 +266,9 @@ def test_robots_that_are_given_no_heights_use_the_formula() -> None:
         assert_takes(perfect_tree(2, 8), 60, variant, "paper", ticks)
 
 
-def holes(arity: int, height: int, depth: int, every: int, rest: int) -> RootedTree:
-    """Return a perfect tree less every so many vertices of one depth, and what is below them."""
-    first, end = (vertices_of_perfect(arity, last) for last in (depth - 1, depth))
-    return without(perfect_tree(arity, height), range(first + rest, end, every))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tree", "vertices", "robots", "ncocta", "cocta"),
-    [
-        (holes(2, 10, 6, 4, 1), 1551, 60, 432, 260),
-        (holes(3, 7, 5, 3, 2), 2227, 20, 807, 693),
-    ],
-    ids=["2-ary", "3-ary"],
+    ("tree", "vertices", "robots", "ncocta", "cocta"), HOLES, ids=["2-ary", "3-ary"]
 )
 def test_takes_the_ticks_of_the_table_on_trees_with_holes(
     tree: RootedTree, vertices: int, robots: int, ncocta: int, cocta: int

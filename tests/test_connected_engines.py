@@ -1,6 +1,7 @@
 """Connected coverage with a process for each robot: the in-process trace, with real kills."""
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -8,16 +9,19 @@ from typing import Any
 import pytest
 
 from agents.algorithms import connected
+from agents.planning.rooted_tree import RootedTree, perfect_tree
 from deploy.judged import judge_journal
 from deploy.setting import prepare
 from protocol.graph import PortGraph
 from protocol.scenario import from_tree
 from tests.play import tree_of
 from tests.runs import Started, play, requests_of, run_cli, send, setting_of, started_cli, until
-from tests.test_connected import fields_of, with_losses
+from tests.test_connected import HOLES, TABLE, fields_of, graph_from, with_losses
 
 SMALL = tree_of([(child - 1) // 3 for child in range(1, 14)])
 TRAIL = tree_of([*range(5), 0, 0])
+MOST_QUICK, MOST_SLOW = 200, 36_000
+"""Requests of all robots up to which a row of the table is quick, and slow; others are long."""
 
 
 def both(folder: Path, graph: PortGraph, robots: int, algorithm: str, **more: Any) -> list[int]:
@@ -67,6 +71,34 @@ def test_a_plan_is_made_once_for_all(
     setting = prepare(from_tree({**tree, "algorithm_options": options}, "test"))
     monkeypatch.setattr(connected, "planned", None)
     assert play(setting, tmp_path, "inprocess").failures == {}
+
+
+def rows() -> Iterator[Any]:
+    """Yield the rows of the table, for both algorithms; marked by how many requests the robots make."""
+    table = [(perfect_tree(*row[:2]), *row[2:]) for row in TABLE]
+    table += [(tree, robots, "paper", *ticks) for tree, _, robots, *ticks in HOLES]
+    for tree, robots, splits, *both_ticks in table:
+        for algorithm, ticks in zip(("ncocta", "cocta"), both_ticks, strict=True):
+            marks = []
+            if robots * ticks > MOST_SLOW:
+                marks = [pytest.mark.long, pytest.mark.timeout(7200)]
+            elif robots * ticks > MOST_QUICK:
+                marks = [pytest.mark.slow, pytest.mark.timeout(600)]
+            name = f"{algorithm}, {len(tree)} vertices, k = {robots}"
+            yield pytest.param(tree, robots, algorithm, splits, ticks, id=name, marks=marks)
+
+
+@pytest.mark.parametrize(("tree", "robots", "algorithm", "splits", "ticks"), list(rows()))
+def test_robots_take_the_ticks_of_the_table(
+    tree: RootedTree, robots: int, algorithm: str, splits: Any, ticks: int, tmp_path: Path
+) -> None:
+    fields = fields_of(algorithm, options={"splits": splits})
+    setting = setting_of(graph_from(tree), robots, **fields)
+    run = play(setting, tmp_path, "processes", limit_s=7200)
+    result = judge_journal(run.folder.journal).result
+    assert result.complete
+    assert result.makespan == ticks
+    assert [each.name for each in result.guarantees if each.holds is False] == []
 
 
 def check_many(seed: int, folder: Path) -> None:
