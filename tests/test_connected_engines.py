@@ -75,7 +75,7 @@ def test_a_plan_is_made_once_for_all(
 
 def rows() -> Iterator[Any]:
     """Yield the rows of the table, for both algorithms; marked by how many requests the robots make."""
-    table = [(perfect_tree(*row[:2]), *row[2:]) for row in TABLE]
+    table: list[tuple[Any, ...]] = [(perfect_tree(*row[:2]), *row[2:]) for row in TABLE]
     table += [(tree, robots, "paper", *ticks) for tree, _, robots, *ticks in HOLES]
     for tree, robots, splits, *both_ticks in table:
         for algorithm, ticks in zip(("ncocta", "cocta"), both_ticks, strict=True):
