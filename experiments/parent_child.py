@@ -9,6 +9,7 @@ figure5  time steps, by the number of children, a curve for each share of obstac
 figure6  the same, divided into coordination and coverage
 figure7  so divided, by line-of-sight radius
 figure8  an example: the map, the parent's vertices and way, and a run of it
+teams    the paper's future work: time steps, by the number of teams that share the map and the children
 played   not in the paper: some of these plans, carried out by robots on the in-process engine
 
 A time step is one move of a robot, counted as the paper counts (`agents.planning.parent_child`). The
@@ -49,8 +50,12 @@ from protocol.errors import InputError
 
 RATIOS = (0.0, 0.2, 0.35)
 RADII_M = (1.0, 2.5, 7.5)
-TEAMS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13)
+SIZES, SIZES_QUICK = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13), (1, 2, 5, 9)
 """Numbers of children; the paper's laboratory has 13."""
+SHARED, SHARED_QUICK = (6, 12), (6,)
+"""Numbers of children that several teams share."""
+TEAMS = (1, 2, 3, 4, 6)
+"""Numbers of teams."""
 SEEDS, SEEDS_QUICK = 8, 2
 
 
@@ -60,7 +65,8 @@ class Row(Struct, frozen=True, kw_only=True):
     Attributes:
         ratio: share of the area that is obstructed.
         r_los_m: line-of-sight radius.
-        children: how many.
+        children: how many, in all teams.
+        teams: how many parents, with children of their own.
         maps: how many; without obstacles there is only one.
         vertices, parents, extra: the paper's P and Q, and further vertices of the parent.
         coverage, coordination, steps: steps as the paper counts them, and their sum.
@@ -74,6 +80,7 @@ class Row(Struct, frozen=True, kw_only=True):
     ratio: float
     r_los_m: float
     children: int
+    teams: int
     maps: int
     vertices: float
     parents: float
@@ -120,14 +127,16 @@ PAPER: dict[str, dict[tuple[float, float], dict[str, float]]] = {
 
 def rows_of(part: str, results: dict[Case, Measured]) -> list[Row]:
     """Average the plans that differ by their seed only."""
-    kinds: dict[tuple[float, float, int], list[Measured]] = {}
+    kinds: dict[tuple[float, float, int, int], list[Measured]] = {}
     for case, measured in results.items():
-        kinds.setdefault((case.ratio, case.r_los_m, case.children), []).append(measured)
+        kind = case.ratio, case.r_los_m, case.children, case.teams
+        kinds.setdefault(kind, []).append(measured)
     return [
         Row(
             ratio=ratio,
             r_los_m=r_los_m,
             children=children,
+            teams=teams,
             maps=len(found),
             vertices=mean(one.vertices for one in found),
             parents=mean(one.parents for one in found),
@@ -141,39 +150,57 @@ def rows_of(part: str, results: dict[Case, Measured]) -> list[Row]:
             cpu_s=mean(one.cpu_s for one in found),
             paper=PAPER.get(part, {}).get((ratio, r_los_m), {}),
         )
-        for (ratio, r_los_m, children), found in kinds.items()
+        for (ratio, r_los_m, children, teams), found in kinds.items()
     ]
 
 
 # Parts.
 
 
-def by_obstacles(teams: Sequence[int], seeds: int) -> Iterator[Case]:
+def by_obstacles(sizes: Sequence[int], seeds: int) -> Iterator[Case]:
     """List the plans on maps with more and more obstacles; without any there is one map."""
-    for ratio, children in product(RATIOS, teams):
+    for ratio, children in product(RATIOS, sizes):
         for seed in range(seeds if ratio else 1):
             yield Case(ratio, R_LOS_M, children, seed)
 
 
-def by_radius(teams: Sequence[int], seeds: int) -> Iterator[Case]:
+def by_radius(sizes: Sequence[int], seeds: int) -> Iterator[Case]:
     """List the plans of parents that see farther and farther."""
-    for r_los_m, children, seed in product(RADII_M, teams, range(seeds)):
+    for r_los_m, children, seed in product(RADII_M, sizes, range(seeds)):
         yield Case(0.2, r_los_m, children, seed)
 
 
+def by_teams(sizes: Sequence[int], seeds: int) -> Iterator[Case]:
+    """List the plans of more and more teams that share their children."""
+    for children, teams, seed in product(sizes, TEAMS, range(seeds)):
+        yield Case(0.2, R_LOS_M, children, seed, teams)
+
+
 Lister = Callable[[Sequence[int], int], Iterator[Case]]
+Sizes = tuple[int, ...]
 
-PLANNED: dict[str, tuple[Lister, tuple[int, ...] | None]] = {
-    "table1": (by_obstacles, (CHILDREN,)),
-    "table2": (by_radius, (1, CHILDREN)),
-    "table3": (by_radius, (CHILDREN,)),
-    "figure5": (by_obstacles, None),
-    "figure6": (by_obstacles, None),
-    "figure7": (by_radius, None),
+PLANNED: dict[str, tuple[Lister, Sizes, Sizes]] = {
+    "table1": (by_obstacles, (CHILDREN,), (CHILDREN,)),
+    "table2": (by_radius, (1, CHILDREN), (1, CHILDREN)),
+    "table3": (by_radius, (CHILDREN,), (CHILDREN,)),
+    "figure5": (by_obstacles, SIZES, SIZES_QUICK),
+    "figure6": (by_obstacles, SIZES, SIZES_QUICK),
+    "figure7": (by_radius, SIZES, SIZES_QUICK),
+    "teams": (by_teams, SHARED, SHARED_QUICK),
 }
-"""What each part lists, and its numbers of children; ``None``: all."""
+"""What each part lists, its numbers of children, and those of a quick look."""
 
-PARTS = (*PLANNED, "figure8", "played")
+PARTS = (
+    "table1",
+    "table2",
+    "table3",
+    "figure5",
+    "figure6",
+    "figure7",
+    "figure8",
+    "teams",
+    "played",
+)
 
 
 def computed(
@@ -251,8 +278,8 @@ def parent_child(
 
 def cases_of(part: str, seeds: int, *, quick: bool) -> list[Case]:
     """List the plans of a part."""
-    lister, teams = PLANNED[part]
-    return list(lister(teams or ((1, 2, 5, 9) if quick else TEAMS), seeds))
+    lister, sizes, sizes_quick = PLANNED[part]
+    return list(lister(sizes_quick if quick else sizes, seeds))
 
 
 def write(folder: Path, part: str, results: dict[Case, Measured]) -> list[Row]:
@@ -276,7 +303,7 @@ def print_part(part: str, rows: Sequence[Row] | Sequence[Played]) -> None:
     print(f"\n{part}: {TITLES[part]}")
     for row in rows:
         print(f"  {_line(part, row)}")
-    if part in FIGURES:
+    if part in FIGURES and part != "teams":
         for line in fewest([row for row in rows if isinstance(row, Row)]):
             print(f"  {line}")
     sys.stdout.flush()
@@ -290,6 +317,7 @@ TITLES = {
     "figure6": "time steps, by children",
     "figure7": "time steps, by children",
     "figure8": "the example, carried out",
+    "teams": "time steps, by teams that share the children",
     "played": "plans carried out on the in-process engine",
 }
 
@@ -318,6 +346,11 @@ def _line(part: str, row: Row | Played) -> str:
             minutes = row.paper.get("minutes")
             told = "" if minutes is None else f" (paper {minutes:g} min)"
             return f"{kind} {row.cpu_s:.2f} s{told}"
+        case "teams":
+            return (
+                f"{kind[:-1]}, {row.teams} {'team' if row.teams == 1 else 'teams'}: "
+                f"{row.steps:5.0f} ± {row.steps_sd:3.0f}; {row.ticks:5.0f} ticks of robots"
+            )
         case _:
             return (
                 f"{kind} {row.steps:5.0f} ± {row.steps_sd:3.0f} = {row.coordination:5.0f} to "

@@ -16,6 +16,8 @@ BAR = 0.72
 """Width of a bar; children are one apart."""
 RING: dict[str, Any] = {"marker": "o", "markersize": 11, "markerfacecolor": "none"}
 """Goes around the least point of a curve."""
+TICKS: dict[str, Any] = {"marker": ".", "markersize": 4, "linewidth": 0.9, "linestyle": (0, (4, 2))}
+"""How the ticks that robots need are drawn, beside the steps as the paper counts them."""
 
 
 def figure5(rows: Sequence["Row"], path: Path) -> None:
@@ -26,31 +28,34 @@ def figure5(rows: Sequence["Row"], path: Path) -> None:
     axes = figure.subplots()
     for at, ratio in enumerate(dict.fromkeys(row.ratio for row in rows)):
         curve = [row for row in rows if row.ratio == ratio]
-        axes.errorbar(
-            [row.children + 0.06 * (at - 1) for row in curve],
-            [row.steps for row in curve],
-            yerr=[row.steps_sd for row in curve],
-            label=f"{100 * ratio:g} % obstructed",
-            color=COLOURS[at],
-            marker=plots.MARKS[at],
-            markersize=4.5,
-            linewidth=1.4,
-            elinewidth=0.9,
-            capsize=2.5,
-            zorder=3,
-        )
+        shift = 0.06 * (at - 1)
+        name = f"{100 * ratio:g} % obstructed"
+        _curve(axes, at, [row.children + shift for row in curve], curve, name)
         least = min(curve, key=lambda row: row.steps)
-        axes.plot(
-            least.children + 0.06 * (at - 1),
-            least.steps,
-            color=COLOURS[at],
-            linestyle="none",
-            **RING,
-        )
+        axes.plot(least.children + shift, least.steps, color=COLOURS[at], linestyle="none", **RING)
     plots.dress(axes, "child robots", "time steps", (row.children for row in rows))
     handles, names = axes.get_legend_handles_labels()
     ring = Line2D([], [], color=GREY, linestyle="none", **RING)
     axes.legend([*handles, ring], [*names, "fewest"], frameon=False, fontsize=8.5)
+    plots.save(figure, path)
+
+
+def teams(rows: Sequence["Row"], path: Path) -> None:
+    """Draw time steps by the number of teams, a curve for each number of children."""
+    figure = plots.new(6.0, 4.2)
+    axes = figure.subplots()
+    for at, children in enumerate(dict.fromkeys(row.children for row in rows)):
+        curve = [row for row in rows if row.children == children]
+        _curve(axes, at, [row.teams for row in curve], curve, f"time steps, {children} children")
+        axes.plot(
+            [row.teams for row in curve],
+            [row.ticks for row in curve],
+            color=COLOURS[at],
+            label=f"ticks of robots, {children} children",
+            **TICKS,
+        )
+    plots.dress(axes, "teams", "time steps", (row.teams for row in rows))
+    axes.legend(frameon=False, fontsize=8.5)
     plots.save(figure, path)
 
 
@@ -64,8 +69,25 @@ def figure7(rows: Sequence["Row"], path: Path) -> None:
     _divided(rows, path, lambda row: f"line of sight {row.r_los_m:g} m")
 
 
-FIGURES = {"figure5": figure5, "figure6": figure6, "figure7": figure7}
+FIGURES = {"figure5": figure5, "figure6": figure6, "figure7": figure7, "teams": teams}
 """By the name of the part."""
+
+
+def _curve(axes: "Axes", at: int, where: Sequence[float], rows: Sequence["Row"], name: str) -> None:
+    """Draw the steps of some plans, and how far they spread over the maps."""
+    axes.errorbar(
+        where,
+        [row.steps for row in rows],
+        yerr=[row.steps_sd for row in rows],
+        label=name,
+        color=COLOURS[at],
+        marker=plots.MARKS[at],
+        markersize=4.5,
+        linewidth=1.4,
+        elinewidth=0.9,
+        capsize=2.5,
+        zorder=3,
+    )
 
 
 def _divided(rows: Sequence["Row"], path: Path, name_of: Callable[["Row"], str]) -> None:
@@ -118,9 +140,6 @@ def _bars(axes: "Axes", rows: Sequence["Row"]) -> None:
         children,
         [row.ticks for row in rows],
         color=COLOURS[1],
-        marker=".",
-        markersize=4,
-        linewidth=0.9,
-        linestyle=(0, (4, 2)),
         label="ticks of robots",
+        **TICKS,
     )

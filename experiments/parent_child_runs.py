@@ -44,14 +44,16 @@ class Case(NamedTuple):
     Attributes:
         ratio: share of the area that is obstructed.
         r_los_m: line-of-sight radius.
-        children: how many.
+        children: how many, in all teams.
         seed: of the map.
+        teams: how many, each of a parent and some of the children.
     """
 
     ratio: float
     r_los_m: float
     children: int
     seed: int
+    teams: int = 1
 
     @property
     def grid(self) -> Grid:
@@ -60,8 +62,10 @@ class Case(NamedTuple):
         return Grid(drawn.rows, drawn.cols, drawn.cells(), SPACING_M)
 
     def plan(self) -> TeamPlan:
-        """Plan for the team."""
-        wanted = WantedTeam(children=self.children, r_los_m=self.r_los_m, spacing_m=SPACING_M)
+        """Plan for the team, or the teams."""
+        wanted = WantedTeam(
+            children=self.children, r_los_m=self.r_los_m, spacing_m=SPACING_M, teams=self.teams
+        )
         return plan_parent_child(self.grid, wanted)
 
 
@@ -187,7 +191,7 @@ def carried_out(case: Case, team: TeamPlan) -> tuple[Result, GridLedger, ParentC
 def compared(case: Case, team: TeamPlan, result: Result) -> Played:
     """Compare a run with its plan."""
     return Played(
-        *case,
+        *case[:4],
         planned=team.facts.schedule_steps,
         makespan=result.makespan,
         complete=result.complete,

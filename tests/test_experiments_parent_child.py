@@ -11,7 +11,17 @@ import pytest
 from agents.planning.vertices import Reach, choose
 from deploy.cli import main
 from experiments import parent_child, parent_child_runs
-from experiments.parent_child import PAPER, PARTS, RADII_M, RATIOS, TEAMS, cases_of, fewest, rows_of
+from experiments.parent_child import (
+    PAPER,
+    PARTS,
+    RADII_M,
+    RATIOS,
+    SIZES,
+    TEAMS,
+    cases_of,
+    fewest,
+    rows_of,
+)
 from experiments.parent_child_runs import Case, Measured, Played, carried_out, compared, measure
 from protocol.grid import Grid
 
@@ -64,12 +74,15 @@ def test_parts_list_what_the_paper_shows() -> None:
     for part in ("figure5", "figure6"):
         cases = cases_of(part, 8, quick=False)
         assert {case.ratio for case in cases} == set(RATIOS)
-        assert {case.children for case in cases} == set(TEAMS)
+        assert {case.children for case in cases} == set(SIZES)
         # Without obstacles there is one map.
-        assert len(cases) == len(TEAMS) * (1 + 8 + 8)
+        assert len(cases) == len(SIZES) * (1 + 8 + 8)
     cases = cases_of("figure7", 8, quick=False)
     assert {case.r_los_m for case in cases} == set(RADII_M)
-    assert len(cases) == len(TEAMS) * 3 * 8
+    assert len(cases) == len(SIZES) * 3 * 8
+    cases = cases_of("teams", 8, quick=False)
+    assert {case.teams for case in cases} == set(TEAMS)
+    assert len(cases) == 2 * len(TEAMS) * 8
     for part in ("table1", "table2", "table3"):
         kinds = {(case.ratio, case.r_los_m) for case in cases_of(part, 1, quick=True)}
         assert set(PAPER[part]) == kinds
@@ -83,13 +96,16 @@ def test_the_command_writes_figures_and_numbers(
     assert main([*words, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)["parts"]
     assert tuple(said) == PARTS
-    for part in ("figure5", "figure6", "figure7", "figure8", "figure8-run"):
+    for part in ("figure5", "figure6", "figure7", "figure8", "figure8-run", "teams"):
         assert (tmp_path / f"{part}.png").stat().st_size > 10_000
     lines = list(csv.DictReader((tmp_path / "figure7.csv").read_text().splitlines()))
     assert len(lines) == 3 * 4 * 2
     for line in lines:
         case = Case(0.2, float(line["r_los_m"]), int(line["children"]), int(line["seed"]))
         assert int(line["ticks"]) == measure(case).ticks
+    several = said["teams"]
+    assert [row["teams"] for row in several] == list(TEAMS)
+    assert several[-1]["ticks"] < several[0]["ticks"]
     (run,) = said["played"]
     assert run["complete"]
     assert run["planned"] == run["makespan"]

@@ -115,7 +115,7 @@ async def cover_in_lockstep(body: Body, paths: Paths, step: Step, here: Sight) -
         step: the first one.
         here: what the robot saw first.
     """
-    robot, parents, up, down = body.robot, paths.tree.parents, paths.up, paths.down
+    robot = body.robot
     before = step
     while True:
         if here.losses:
@@ -127,9 +127,7 @@ async def cover_in_lockstep(body: Body, paths: Paths, step: Step, here: Sight) -
         if to is None:
             here = await body.wait(messages=messages)
         else:
-            place = here.place
-            exit_ = up[place] if parents[place] == to else down[to]
-            here = await body.move(exit_, messages=messages)
+            here = await body.move(paths.exit(here.place, to), messages=messages)
         before, step = step, step.next()
         if not here.losses:
             compare(robot, here, before, step)
@@ -150,9 +148,13 @@ def compare(robot: int, here: Sight, before: Step, step: Step) -> None:
             f"the team's state it is at {place}, and there are {[*beside]}"
         )
     if here.inbox != before.heard and robot != before.speaker:
+        said = (
+            ", ".join(f"{word.hex()} of robot {sender}" for sender, word in here.inbox) or "nothing"
+        )
         raise AlgorithmError(
-            f"robot {robot} expected the digest of robot {before.speaker} at tick {before.tick} and "
-            f"heard {here.inbox}: their copies of the team's state differ, or they have lost touch"
+            f"robot {robot} expected the digest {before.digest.hex()} of robot {before.speaker} at "
+            f"tick {before.tick} and heard {said}: their copies of the team's state differ, or they "
+            "have lost touch"
         )
 
 
@@ -200,7 +202,7 @@ class PhasedRobot:
             if to is None or robot in arrived or (first and first.isdisjoint(arrived)):
                 self.here = await self._body.wait_for_news(messages=messages)
             else:
-                exit_ = self._exit(step.at[robot], to)
+                exit_ = self._paths.exit(step.at[robot], to)
                 self.here = await self._body.move(exit_, messages=messages)
                 if self._hears_of_loss():
                     return  # nobody can have gone on: all wait for this robot
@@ -227,11 +229,6 @@ class PhasedRobot:
                     f"{self.step.tick}"
                 )
 
-    def _exit(self, place: int, to: int) -> int:
-        """Return the port from a vertex to its parent or to a child."""
-        paths = self._paths
-        return paths.up[place] if paths.tree.parents[place] == to else paths.down[to]
-
 
 async def ncocta(body: Body, options: Options) -> Stop:
     """Cover a tree, always connected, by Algorithm 1."""
@@ -250,8 +247,10 @@ async def cocta_best(body: Body, options: BestOptions) -> Stop:
 
 async def _cover(body: Body, options: AnyOptions, variant: Variant) -> Stop:
     known = body.briefing.graph
-    if known is None or len(set(known.starts)) > 1:
-        raise AlgorithmError("connected coverage needs `sensing.map = true` and one start for all")
+    if known is None:
+        raise AlgorithmError("connected coverage needs a map; expected `sensing.map = true`")
+    if len(set(known.starts)) > 1:
+        raise AlgorithmError("connected coverage needs one start for all; expected `world.start`")
     root = known.starts[0]
     if isinstance(options.splits, str):
         graph = PortGraph([""] * known.vertices, known.ends())

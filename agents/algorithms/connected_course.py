@@ -53,7 +53,7 @@ class Step:
         self._course = course
         self._fresh = tuple(fresh)  # what was visited first on the way to this step
         self._next: Step | None = None
-        self._regrouped: dict[tuple[int, frozenset[tuple[int, int]]], Step] = {}
+        self._regrouped: dict[tuple[object, ...], Step] = {}
         self._keepers: dict[int, frozenset[int]] | None = None
         self.order = order
         self.at = dict(team.at)
@@ -104,10 +104,11 @@ class Step:
             at: the vertex of each; adjacent from one to the next.
             seen: what they have visited since this step.
         """
-        key = (tick, frozenset(at.items()))
+        fresh = frozenset(seen)
+        key = (tick, frozenset(at.items()), fresh)
         if key not in self._regrouped:
             course = self._course
-            visited = {*self.visited(), *seen}
+            visited = self.visited() | fresh
             order = (self.order[0] + 1, tick)
             self._regrouped[key] = Step(
                 course.after_losses(at, visited), order, _digest(at, self.digest), ()

@@ -99,6 +99,10 @@ class Paths(NamedTuple):
     up: tuple[int, ...]
     down: tuple[int, ...]
 
+    def exit(self, vertex: int, to: int) -> int:
+        """Return the port of a vertex that leads to its parent or to one of its children."""
+        return self.up[vertex] if self.tree.parents[vertex] == to else self.down[to]
+
 
 def spanning_tree(graph: PortGraph, root: int, *, deep: bool = False) -> Paths:
     """Return a spanning tree of a graph; children are in the order of ports.
