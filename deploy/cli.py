@@ -18,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
+from deploy.cli_plan import add_plan, whole_number
 from protocol.errors import CanopyError, InputError, JournalError, MachineError, ScenarioError
 
 EXAMPLES = """\
@@ -40,9 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         code: int = parsed.command(parsed)
-    except InputError as error:
-        return _refuse(error)
-    except JournalError as error:
+    except (InputError, JournalError) as error:
         return _refuse(error)
     except ModuleNotFoundError as error:
         return _refuse(MachineError(f"the package {error.name!r} is missing; run `make setup`"))
@@ -147,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     map_.set_defaults(command=_map)
 
-    _add_plan(commands)
+    add_plan(commands)
 
     paper = commands.add_parser(
         "paper",
@@ -168,9 +167,10 @@ def _parser() -> argparse.ArgumentParser:
     paper.add_argument("--quick", action="store_true", help="play a few runs of each part")
     paper.add_argument(
         "--inputs",
-        type=_count,
+        type=whole_number,
         metavar="N",
-        help="how many are drawn: losses of ormstc (100), mstc (300), general trees of connected",
+        help="how many are drawn: losses of ormstc (100), mstc (300), general trees of connected, "
+        "maps of parent-child (8)",
     )
     paper.add_argument("--out", type=Path, metavar="DIR", help="folder for files (runs/paper-NAME)")
     paper.add_argument("--json", action="store_true", help="print the numbers as one JSON object")
@@ -179,122 +179,6 @@ def _parser() -> argparse.ArgumentParser:
     doctor = commands.add_parser("doctor", help="check this machine, and list the algorithms")
     doctor.set_defaults(command=_doctor)
     return parser
-
-
-PLAN = """\
-Plan who covers what of a known map: a walk for each robot, all computed before any moves.
-
-Algorithms are named TREE+SPLIT (Agmon et al. 2008, Sec. 3). TREE is a spanning tree of the coarse
-cells (2 x 2 free sub-cells): random, depth-first, breadth-first, minimum (random weights), or
-create-tree, which grows a subtree for each robot, away from the others, and keeps the best of many
-sets of bridges between them. SPLIT divides the tour around the tree: nb-mstc, where each robot
-follows it to the cell before the next robot's start; b-mstc, where the largest gap and the two after
-it may be shared; opt-mstc, where each robot covers some of the tour behind it and some before it,
-the fewer first, so that the last is covered as early as can be. The algorithm best searches without
-a tree, and covers all free sub-cells that can be reached.
-
-When its part is covered a robot goes home by a short way over sub-cells that are covered by then, so
-that the way home covers nothing: coverage time is the same with and without --open. Times and lengths
-are moves. Robots share one connected part of the map.
-
-The algorithm parent-child plans for --robots children (5) that move in sight of a parent robot only:
-where that stands, and every move of all of them. A character is a vertex; of maps with a scale a
-square of --spacing is one. With --teams there are several parents, and the children are shared
-among them: each team covers a part of the map.
-"""
-
-PLAN_EXAMPLES = """\
-examples:
-  canopy plan office.txt --robots 8 --picture plan.png
-  canopy plan office.txt --starts "0,0 0,9 17,4" --algorithm create-tree+nb-mstc --json
-  canopy plan office.txt --starts "0,0 0,9" --tree my_tree.txt --algorithm opt-mstc
-  canopy plan office.txt --robots 3 --all-bridges --paths walks.json
-  canopy plan office.txt --algorithm parent-child --r-los 2.5 --spacing 0.5 --picture plan.png
-"""
-
-
-def _add_plan(commands: "argparse._SubParsersAction[_Parser]") -> None:
-    plan = commands.add_parser(
-        "plan",
-        help="plan who covers what of a known map",
-        description=PLAN,
-        epilog=PLAN_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    plan.add_argument("map", type=Path, metavar="MAP", help="a grid, as `canopy map` reads it")
-    plan.add_argument(
-        "--robots", type=_count, metavar="K", help="how many; they start where the seed says"
-    )
-    plan.add_argument(
-        "--starts", metavar="'R,C R,C ...'", help="row and column of each robot's sub-cell"
-    )
-    plan.add_argument(
-        "--algorithm",
-        default="create-tree+opt-mstc",
-        metavar="NAME",
-        help="TREE+SPLIT, best, or parent-child (create-tree+opt-mstc)",
-    )
-    plan.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is drawn (0)")
-    plan.add_argument(
-        "--tree",
-        type=Path,
-        metavar="FILE",
-        help="take this tree instead: edges R,C-R,C between coarse cells; # begins a comment",
-    )
-    plan.add_argument(
-        "--distance",
-        choices=("manhattan", "euclid", "shortest-path"),
-        default="manhattan",
-        help="between the tips of growing subtrees (manhattan)",
-    )
-    plan.add_argument(
-        "--tries",
-        default="alpha",
-        metavar="N",
-        help="sets of bridges to draw: a number; alpha, K to the power of --alpha (default); "
-        "or max, that but at least as many as there are sub-cells",
-    )
-    plan.add_argument("--alpha", type=float, default=2.0, metavar="A", help="see --tries (2)")
-    plan.add_argument(
-        "--all-bridges",
-        action="store_true",
-        help="evaluate all sets of bridges, keep the best, and say what they come to",
-    )
-    plan.add_argument(
-        "--budget",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="for best: so many seconds of processor time, about (10); how fast the machine is "
-        "does not change the plan",
-    )
-    plan.add_argument(
-        "--open", action="store_true", help="let walks end where the last cell is covered"
-    )
-    for option, kind, name, text in (
-        ("--r-los", float, "M", "how far the parent sees, metres (2.5)"),
-        ("--spacing", float, "M", "from vertex to vertex, metres (0.5)"),
-        ("--los-cells-squared", int, "N", "how far instead: largest squared distance in vertices"),
-        ("--teams", str, "T", "parents that share the children (1); 0 or best: what is fastest"),
-    ):
-        plan.add_argument(option, type=kind, metavar=name, help=f"for parent-child: {text}")
-    plan.add_argument(
-        "--paths",
-        type=Path,
-        metavar="FILE",
-        help="write the walks: JSON, a list of [row, column] for each robot, from its start",
-    )
-    plan.add_argument("--picture", type=Path, metavar="PNG", help="draw tree, parts and starts")
-    plan.add_argument("--json", action="store_true", help="print the plan as one JSON object")
-    plan.add_argument("--cell-m", type=float, metavar="M", help="side of a sub-cell")
-    plan.add_argument("--resolution-m", type=float, metavar="M", help="side of a pixel")
-    plan.set_defaults(command=_plan)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number from 1")
-    return int(text)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -421,71 +305,6 @@ def _map(arguments: argparse.Namespace) -> int:
         for line in describe(facts):
             print(line)
         print(f"picture in {picture}")
-    return 0
-
-
-def _check_written(arguments: argparse.Namespace) -> None:
-    """Refuse files that a plan cannot be written to, before anything is planned."""
-    for option in ("paths", "picture"):
-        path = getattr(arguments, option)
-        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise InputError(f"--{option} {path}: expected a file in a folder that exists")
-        is_there = path is not None and path.exists() and arguments.map.exists()
-        if is_there and path.samefile(arguments.map):
-            raise InputError(f"--{option} {path}: is the map itself, expected another file")
-
-
-def _plan(arguments: argparse.Namespace) -> int:
-    import msgspec
-
-    if arguments.algorithm == "parent-child":
-        from deploy.plan_parent_child import lines_of
-
-        _check_written(arguments)
-        for line in lines_of(arguments):
-            print(line)
-        return 0
-    from deploy.plan import Wanted, describe, draw_plan, plan, write_paths
-    from world_server.maps import GridFile, read_map
-
-    found = read_map(arguments.map, cell_m=arguments.cell_m, resolution_m=arguments.resolution_m)
-    if not isinstance(found, GridFile):
-        raise InputError(f"{arguments.map}: is a graph, expected a grid")
-    _check_written(arguments)
-    wanted = Wanted(
-        algorithm=arguments.algorithm,
-        robots=arguments.robots,
-        starts=arguments.starts,
-        seed=arguments.seed,
-        tree=arguments.tree,
-        distance=arguments.distance,
-        tries=arguments.tries,
-        alpha=arguments.alpha,
-        all_bridges=arguments.all_bridges,
-        is_open=arguments.open,
-        budget_s=arguments.budget,
-    )
-    said = time.monotonic()
-
-    def say(line: str) -> None:
-        nonlocal said
-        if time.monotonic() - said >= 1:  # what is done at once needs no progress
-            said = time.monotonic()
-            print(f"  {line}", file=sys.stderr, flush=True)
-
-    planned = plan(found.grid, wanted, say)
-    try:
-        if arguments.paths is not None:
-            write_paths(arguments.paths, planned.walks)
-        if arguments.picture is not None:
-            draw_plan(found.grid, planned, arguments.picture, arguments.map.stem)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--paths or --picture: {error}; expected a file to write") from None
-    if arguments.json:
-        print(msgspec.json.encode(planned.facts).decode())
-    else:
-        for line in describe(planned):
-            print(line)
     return 0
 
 

@@ -364,10 +364,10 @@ def _names(wanted: Wanted) -> tuple[str, str]:
     is_split = wanted.tree is not None and name in SPLITS
     if name not in known and not is_split:
         trees, splits = ", ".join((*TREES, CREATE_TREE)), ", ".join(SPLITS)
-        best = " or best" * (BEST in known)
+        others = [*([BEST] if BEST in known else []), "parent-child"]
         raise InputError(
-            f"--algorithm: found {name!r}, expected TREE+SPLIT{best}; TREE is one of {trees}, "
-            f"SPLIT one of {splits}"
+            f"--algorithm: found {name!r}, expected TREE+SPLIT, {' or '.join(others)}; TREE is one of "
+            f"{trees}, SPLIT one of {splits}"
         )
     tree, _, split = name.rpartition("+") if name != BEST else (BEST, "", "")
     if wanted.all_bridges and (tree != CREATE_TREE or wanted.tree is not None):

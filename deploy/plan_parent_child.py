@@ -5,10 +5,9 @@ spacing d, free if all of the square is (the parent-child paper, Sec. 3.2). The 
 connected part of its start, or else the largest one. Several teams start at the same vertex.
 """
 
-import argparse
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -88,6 +87,7 @@ class TeamPlanFacts(Struct, frozen=True, kw_only=True):
         algorithm: its name.
         robots: how many children, in all teams.
         vertices: how many there are to cover, the paper's P.
+        out_of_reach: free vertices in other parts of the map, which nobody covers.
         parents: where the parent is to stand, in visiting order; as many as the paper's Q. Of several
             teams one after another, as are the extra stops.
         extra_stops: further ones, for vertices that are in sight of those but not to be reached there
@@ -104,6 +104,7 @@ class TeamPlanFacts(Struct, frozen=True, kw_only=True):
     algorithm: str
     robots: int
     vertices: int
+    out_of_reach: int
     parents: list[Cell]
     extra_stops: list[Cell]
     los_max: int
@@ -122,7 +123,7 @@ class TeamPlan(NamedTuple):
     Attributes:
         facts: it in numbers.
         teams: parts, stops and moves of each team.
-        reach: how far the parent sees, in cells; the distance itself is out of sight.
+        reach: how far the parent sees, in cells, at most across the map; that far is out of sight.
     """
 
     facts: TeamPlanFacts
@@ -135,48 +136,15 @@ class TeamPlan(NamedTuple):
         return self.teams[0].plan
 
 
-def lines_of(arguments: argparse.Namespace) -> Iterator[str]:
-    """Plan what the command line says, write the files it names, and yield what is to be printed.
-
-    Raises:
-        InputError: If something wanted does not fit the map, or a file cannot be written.
-        MapError: If the map cannot be read.
-    """
-    for option in ("tree", "all_bridges", "open"):
-        if getattr(arguments, option):
-            name = option.replace("_", "-")
-            raise InputError(f"--{name}: the algorithm parent-child has none; expected no --{name}")
-    found = read_vertices(
-        arguments.map, arguments.spacing, arguments.cell_m, arguments.resolution_m
-    )
-    wanted = WantedTeam(
-        children=arguments.robots,
-        teams=_teams(arguments.teams),
-        start=arguments.starts,
-        r_los_m=arguments.r_los,
-        spacing_m=arguments.spacing if arguments.cell_m is None else arguments.cell_m,
-        los_cells_squared=arguments.los_cells_squared,
-    )
-    planned = plan_parent_child(found.grid, wanted)
-    try:
-        if arguments.paths is not None:
-            write_places(arguments.paths, [team.plan for team in planned.teams])
-        if arguments.picture is not None:
-            draw_team_plan(found.grid, planned, arguments.picture, arguments.map.stem)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--paths or --picture: {error}; expected a file to write") from None
-    if arguments.json:
-        yield json.encode(planned.facts).decode()
-    else:
-        yield from describe_team(planned)
-
-
-def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
+def plan_parent_child(
+    grid: Grid, wanted: WantedTeam, say: Callable[[str], object] = lambda _: None
+) -> TeamPlan:
     """Plan a coverage.
 
     Args:
         grid: the map, a cell for each vertex.
         wanted: what is to be planned.
+        say: is told now and then how far it is.
 
     Raises:
         InputError: If something wanted does not fit the map.
@@ -187,6 +155,7 @@ def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
     chosen = choose(grid, reach, start)
     start = start or chosen.parents[0]
     children = wanted.children or CHILDREN
+    say(f"planning moves around {len(chosen.parents)} stops")
     planner = TeamsPlanner(chosen, start, children=children, in_file=reach.in_file)
     if wanted.teams > planner.most_teams:
         raise InputError(
@@ -200,6 +169,7 @@ def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
         algorithm=PARENT_CHILD,
         robots=children,
         vertices=chosen.vertices,
+        out_of_reach=len(grid.free_cells()) - chosen.vertices,
         parents=[cell for one in told for cell in one.parents],
         extra_stops=[cell for one in told for cell in one.extra_stops],
         los_max=chosen.los_max,
@@ -211,7 +181,8 @@ def plan_parent_child(grid: Grid, wanted: WantedTeam) -> TeamPlan:
         seconds=round(time.perf_counter() - began, 6),
         teams=told if len(told) > 1 else UNSET,
     )
-    return TeamPlan(facts, teams, math.sqrt(reach.limit + 1))
+    farthest = grid.rows**2 + grid.cols**2
+    return TeamPlan(facts, teams, math.sqrt(min(reach.limit, farthest) + 1))
 
 
 def _facts_of(team: TeamPart) -> TeamFacts:
@@ -226,17 +197,6 @@ def _facts_of(team: TeamPart) -> TeamFacts:
         redundant_steps=plan.redundant_steps,
         schedule_steps=plan.schedule_steps,
     )
-
-
-def _teams(text: str | None) -> int:
-    """Read how many teams there are to be; 0 for as many as are fastest."""
-    if text is None:
-        return 1
-    if text == "best":
-        return 0
-    if not text.isdecimal():
-        raise InputError(f"--teams: found {text!r}, expected a whole number, or 'best'")
-    return int(text)
 
 
 def _reach(wanted: WantedTeam) -> Reach:
@@ -311,10 +271,12 @@ def describe_team(found: TeamPlan) -> Iterator[str]:
     robots = "child covers" if facts.robots == 1 else "children cover"
     teams = len(found.teams)
     parents = "a parent" if teams == 1 else f"{teams} parents"
-    yield f"{facts.algorithm}: {parents} and {facts.robots} {robots} {facts.vertices} vertices"
+    yield f"{facts.algorithm}: {parents} and {facts.robots} {robots} {_count(facts.vertices)}"
     extra = f", and {len(facts.extra_stops)} extra" if facts.extra_stops else ""
-    yield f"  parent stands at  {len(facts.parents)} vertices{extra}"
-    yield f"  in sight          at most {facts.los_max} vertices, {facts.los_sum} in all"
+    yield f"  parent stands at  {_count(len(facts.parents))}{extra}"
+    yield f"  in sight          at most {_count(facts.los_max)}, {facts.los_sum} in all"
+    if facts.out_of_reach:
+        yield f"  left out          {_count(facts.out_of_reach)} in other parts of the map"
     yield (
         f"  steps             {facts.coverage_steps} to cover, {facts.coordination_steps} to "
         f"coordinate; {facts.redundant_steps} of all children's are redundant"
@@ -324,10 +286,14 @@ def describe_team(found: TeamPlan) -> Iterator[str]:
         for at, team in enumerate(facts.teams):
             robots = "child " if team.robots == 1 else "children"
             yield (
-                f"  team {at:<13}{team.robots} {robots}, {team.vertices} vertices, "
+                f"  team {at:<13}{team.robots} {robots}, {_count(team.vertices)}, "
                 f"{team.coverage_steps} + {team.coordination_steps} steps, "
                 f"{team.schedule_steps} ticks"
             )
+
+
+def _count(vertices: int) -> str:
+    return "1 vertex" if vertices == 1 else f"{vertices} vertices"
 
 
 def write_places(path: Path, plans: Sequence[Plan]) -> None:

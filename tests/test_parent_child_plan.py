@@ -461,7 +461,10 @@ def test_a_map_with_a_scale_has_vertices_at_the_spacing(
         (("--los-cells-squared", "3", "--r-los", "1"), "--los-cells-squared: --r-los is given too"),
         (("--starts", "1,1"), "--starts: found '1,1', expected a free vertex"),
         (("--starts", "0,0 0,1"), "--starts: found '0,0 0,1', expected 'R,C'"),
-        (("--open",), "--open: the algorithm parent-child has none"),
+        (("--r-los", "inf"), "--r-los: found inf"),
+        (("--open",), "--open: not for the algorithm parent-child; expected no --open"),
+        (("--seed", "0"), "--seed: not for the algorithm parent-child; expected no --seed"),
+        (("--teams", "6"), "--teams: found 6, expected at most 5"),
     ],
 )
 def test_the_command_refuses(
@@ -473,6 +476,38 @@ def test_the_command_refuses(
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "far",
+    [
+        ("--r-los", 1e9),
+        ("--r-los", 1e300),
+        ("--spacing", 1e-9),
+        ("--los-cells-squared", 10**22),
+    ],
+)
+def test_who_sees_farther_than_the_map_sees_all_of_it(
+    far: tuple[str, float], facts: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    (tmp_path / "two.txt").write_text("....#...\n....#...\n")
+    told = facts(tmp_path / "two.txt", *far, "--picture", tmp_path / "plan.png")
+    assert (told["vertices"], told["out_of_reach"]) == (8, 6)
+    assert (told["los_max"], told["los_sum"]) == (8, 64)
+    assert len(told["parents"]) == 1
+
+
+def test_the_command_tells_what_it_leaves_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text, said in (
+        ("whole", ROOM, False),
+        ("two", "...#..\n", True),
+    ):
+        (tmp_path / f"{name}.txt").write_text(text)
+        assert main(["plan", str(tmp_path / f"{name}.txt"), "--algorithm", "parent-child"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert ("  left out          2 vertices in other parts of the map" in lines) == said
 
 
 def _moves(grid: Grid, one: Cell, other: Cell) -> int:

@@ -290,6 +290,12 @@ REFUSED: dict[str, tuple[list[str], list[str], str, str]] = {
     "both": (SQUARE, ["--robots", "2", "--starts", "0,0"], "", "found 2 with 1 --starts"),
     "algorithm": (SQUARE, ["--robots", "1", "--algorithm", "x"], "", "--algorithm: found 'x'"),
     "tries": (SQUARE, ["--robots", "2", "--tries", "0"], "", "--tries: found '0', expected"),
+    "for parents": (
+        SQUARE,
+        ["--robots", "2", "--r-los", "2"],
+        "",
+        "--r-los: not for the algorithm create-tree+opt-mstc; expected --algorithm parent-child",
+    ),
     "bridges": (
         SQUARE,
         ["--robots", "1", "--all-bridges", "--algorithm", "random+nb-mstc"],

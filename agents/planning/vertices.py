@@ -286,11 +286,11 @@ class _Choice:
 
     def _draw_near(self, cell: Cell) -> None:
         """Let all cells within f of a chosen vertex be candidates."""
-        most = self._most
-        for down in range(-isqrt(most), isqrt(most) + 1):
-            row, right = cell[0] + down, isqrt(most - down * down)
-            if 0 <= row < self._rows:
-                self._near[row, max(0, cell[1] - right) : cell[1] + right + 1] = True
+        most, (middle, col) = self._most, cell
+        far = isqrt(most)
+        for row in range(max(0, middle - far), min(self._rows, middle + far + 1)):
+            right = isqrt(most - (row - middle) ** 2)
+            self._near[row, max(0, col - right) : col + right + 1] = True
 
 
 def _overlap(
