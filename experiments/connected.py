@@ -15,29 +15,32 @@ is the speedup factor 2 (n - 1) / T. Into the folder go for each part ``PART.png
 for each run) and ``PART.json``.
 """
 
-import csv
-import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from itertools import product
 from math import ceil
 from pathlib import Path
 from statistics import mean
 from typing import Literal, NamedTuple
 
-import msgspec
 from msgspec import Struct
 
 from agents.algorithms.connected_rule import Team, Variant, ticks_taken
 from agents.algorithms.connected_splits import Splits, choose_splits
 from agents.planning.rooted_tree import vertices_of_perfect
+from experiments.command import (
+    Tally,
+    check_parts,
+    files_of,
+    in_parallel,
+    print_json,
+    write_csv,
+    write_json,
+)
 from experiments.connected_figures import FIGURES
 from experiments.connected_trees import AnyTree, Cut, Holes, Office, Perfect, Place, tree_of
 from experiments.inplace import inplace_ticks
-from experiments.paper import WORKERS, Tally
-from experiments.sweep import begin_work
 from protocol.errors import InputError
 
 Model = Literal["pipe", "in place"]
@@ -284,23 +287,6 @@ PARTS = {
 """The runs of each part, by its name."""
 
 
-def computed(
-    cases: Sequence[Case], workers: int, show: Callable[[int, int], None]
-) -> list[Measured]:
-    """Simulate all runs, and return what they came to, in their order."""
-    results = []
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=begin_work,
-        initargs=(os.getpid(),),
-    ) as pool:
-        for one in pool.map(measure, cases, chunksize=4):
-            results.append(one)
-            show(len(results), len(cases))
-    return results
-
-
 def connected(
     *, out: Path | None, only: Sequence[str], quick: bool, inputs: int | None, as_json: bool
 ) -> int:
@@ -316,33 +302,23 @@ def connected(
     Raises:
         InputError: If there is no such part, or the files cannot be written.
     """
-    for name in only:
-        if name not in PARTS:
-            known = ", ".join(PARTS)
-            raise InputError(f"--only {name}: no such part of the paper; expected one of {known}")
-        if name == "graphs" and not shared_graphs().is_dir():
-            raise InputError(
-                f"--only graphs: no folder {shared_graphs()}; point CANOPY_SHARED at it"
-            )
-    folder = Path("runs", "paper-connected") if out is None else out
+    check_parts(only, PARTS)
+    if "graphs" in only and not shared_graphs().is_dir():
+        raise InputError(f"--only graphs: no folder {shared_graphs()}; point CANOPY_SHARED at it")
     numbers: dict[str, list[Row]] = {}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with files_of("connected", out) as folder:
         for part, listed in PARTS.items():
             points: list[Point] = []
             if part in (only or PARTS):
                 points += listed(quick=quick, cuts=inputs or (2 if quick else CUTS))
             if points:
                 with Tally(part) as tally:
-                    results = computed([point.case for point in points], WORKERS, tally.show)
+                    cases = [point.case for point in points]
+                    results = in_parallel(measure, cases, tally.show, chunk=4)
                 numbers[part] = rows_of(points, results)
                 write(folder, part, points, results, numbers[part])
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"--out {folder}: {error.filename}: {reason}") from None
     if as_json:
-        said = {"paper": "connected", "folder": str(folder), "parts": numbers}
-        print(msgspec.json.encode(said).decode())
+        print_json("connected", folder, numbers)
     else:
         for part, rows in numbers.items():
             print_rows(part, rows)
@@ -359,13 +335,18 @@ def write(
 ) -> None:
     """Write the figure of a part and its numbers."""
     FIGURES[part](rows, folder / f"{part}.png")
-    (folder / f"{part}.json").write_bytes(msgspec.json.format(msgspec.json.encode(rows)) + b"\n")
-    with (folder / f"{part}.csv").open("w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(("panel", "curve", "x", "tree", "robots", "specified", *Measured._fields))
-        for (panel, x, case, specified), result in zip(points, results, strict=True):
-            tree = f"{type(case.tree).__name__}{tuple(case.tree)}"
-            lines.writerow((panel, case.curve, x, tree, case.robots, specified, *result))
+    write_json(folder / f"{part}.json", rows)
+    header = ("panel", "curve", "x", "tree", "robots", "specified", *Measured._fields)
+    lines = (
+        (panel, case.curve, x, name_of(case.tree), case.robots, specified, *result)
+        for (panel, x, case, specified), result in zip(points, results, strict=True)
+    )
+    write_csv(folder / f"{part}.csv", header, lines)
+
+
+def name_of(tree: AnyTree) -> str:
+    """Return what a tree is made of, for tables."""
+    return f"{type(tree).__name__}{tuple(tree)}"
 
 
 def print_rows(part: str, rows: Sequence[Row]) -> None:

@@ -11,18 +11,13 @@ Times are moves. Means go with a paired, two-tailed t-test. Into the folder go f
 ``PART.png``, ``PART.csv`` (a line for each input) and ``PART.json``.
 """
 
-import csv
-import multiprocessing
-import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Sequence
 from math import atan, cos, exp, lgamma, pi, sqrt
 from pathlib import Path
 from statistics import mean, stdev
 from typing import TYPE_CHECKING, NamedTuple
 
-import msgspec
 from msgspec import Struct
 
 from agents.algorithms.stc import number
@@ -31,8 +26,15 @@ from agents.planning.team import Kind, tree_of
 from agents.planning.tour import Places, circumnavigate
 from deploy.picture_parts import COLOURS
 from experiments import plots
-from experiments.paper import WORKERS, Tally
-from experiments.sweep import begin_work
+from experiments.command import (
+    Tally,
+    check_parts,
+    files_of,
+    in_parallel,
+    print_json,
+    write_csv,
+    write_json,
+)
 from protocol.errors import InputError
 from protocol.seeds import spawn
 from world_server.maps.generated_grids import random_obstacles
@@ -179,23 +181,6 @@ def plan_of(part: str, inputs: int, robots: Sequence[int]) -> list[Input]:
     ]
 
 
-def computed(
-    inputs: Sequence[Input], workers: int, show: Callable[[int, int], None]
-) -> list[Times]:
-    """Plan for all inputs, in their order."""
-    times = []
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=begin_work,
-        initargs=(os.getpid(),),
-    ) as pool:
-        for one in pool.map(coverage_times, inputs, chunksize=16):
-            times.append(one)
-            show(len(times), len(inputs))
-    return times
-
-
 def mstc(
     *, out: Path | None, only: Sequence[str], quick: bool, inputs: int | None, as_json: bool
 ) -> int:
@@ -211,38 +196,29 @@ def mstc(
     Raises:
         InputError: If there is no such part, or the files cannot be written.
     """
-    for name in only:
-        if name not in PARTS:
-            known = ", ".join(PARTS)
-            raise InputError(f"--only {name}: no such part of the paper; expected one of {known}")
+    check_parts(only, PARTS)
     count = inputs or (INPUTS_QUICK if quick else INPUTS)
     if count < 2:
         raise InputError("--inputs: found 1, expected at least 2 for a t-test")
     robots = (3, 10, 30) if quick else ROBOTS
-    folder = Path("runs", "paper-mstc") if out is None else out
     numbers: dict[str, list[Row]] = {}
     same: tuple[list[Input], list[Times]] | None = None  # figures 7 and 8 show the same runs
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with files_of("mstc", out) as folder:
         for part in PARTS:
             if part not in (only or PARTS):
                 continue
             if part == "figure6" or same is None:
                 plan = plan_of(part, count, robots)
                 with Tally(part) as tally:
-                    times = computed(plan, WORKERS, tally.show)
+                    times = in_parallel(coverage_times, plan, tally.show, chunk=16)
                 if part != "figure6":
                     same = (plan, times)
             else:
                 plan, times = same
             numbers[part] = rows_of(plan, times)
             write(folder, part, plan, times, numbers[part])
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"--out {folder}: {error.filename}: {reason}") from None
     if as_json:
-        said = {"paper": "mstc", "folder": str(folder), "parts": numbers}
-        print(msgspec.json.encode(said).decode())
+        print_json("mstc", folder, numbers)
     else:
         for part, rows in numbers.items():
             print_rows(part, rows)
@@ -255,11 +231,9 @@ def write(
 ) -> None:
     """Write the figure of a part and its numbers."""
     FIGURES[part](rows, folder / f"{part}.png")
-    (folder / f"{part}.json").write_bytes(msgspec.json.format(msgspec.json.encode(rows)) + b"\n")
-    with (folder / f"{part}.csv").open("w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow((*Input._fields, *Times._fields))
-        lines.writerows((*one, *time) for one, time in zip(plan, times, strict=True))
+    write_json(folder / f"{part}.json", rows)
+    lines = ((*one, *time) for one, time in zip(plan, times, strict=True))
+    write_csv(folder / f"{part}.csv", (*Input._fields, *Times._fields), lines)
 
 
 def print_rows(part: str, rows: Iterable[Row]) -> None:

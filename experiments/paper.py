@@ -1,22 +1,19 @@
-"""What `canopy paper NAME` does: play the parts of an experiment, print tables, write files.
+"""What `canopy paper ormstc` does: play the parts of the experiment, print tables, write files.
 
 Into its folder go, for each part, ``PART.png`` (the figure), ``PART.csv`` (a line for each run) and
-``PART.json`` (the numbers of the table). Each paper is a function that `pyproject.toml` lists as an
-entry point of the group ``canopy.papers``: so the command line, one floor below, finds it by name.
+``PART.json`` (the numbers of the table).
 """
 
-import csv
-import sys
-import time
 from collections.abc import Callable, Sequence
 from math import isnan
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 from msgspec import Struct
 
 from experiments import plots
+from experiments.command import Tally, check_parts, files_of, print_json, write_csv, write_json
 from experiments.ormstc import (
     BASELINE,
     PARTS,
@@ -30,11 +27,6 @@ from experiments.ormstc import (
     rows_of,
 )
 from experiments.sweep import Measured, sweep, trace_inprocess, trace_of_processes
-from protocol.errors import InputError
-
-WORKERS = 2
-LINE_S = 5.0
-"""Without a terminal, progress is a line now and then."""
 
 WIDTH = 96
 """Columns that the widest table takes."""
@@ -87,25 +79,14 @@ def ormstc(
     Raises:
         InputError: If there is no such part, or the files cannot be written.
     """
-    for name in only:
-        if name not in PARTS:
-            known = ", ".join(PARTS)
-            raise InputError(f"--only {name}: no such part of the paper; expected one of {known}")
+    check_parts(only, PARTS)
     size = QUICK if quick else Size()
     if inputs is not None:
         size = msgspec.structs.replace(size, inputs=inputs)
-    folder = Path("runs", "paper-ormstc") if out is None else out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        parts = [
-            play_part(name, size, folder, WORKERS) for name in PARTS if name in (only or PARTS)
-        ]
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"--out {folder}: {error.filename}: {reason}") from None
+    with files_of("ormstc", out) as folder:
+        parts = [play_part(name, size, folder) for name in PARTS if name in (only or PARTS)]
     if as_json:
-        numbers = {"paper": "ormstc", "folder": str(folder), "parts": {p.part: p for p in parts}}
-        print(msgspec.json.encode(numbers).decode())
+        print_json("ormstc", folder, {part.part: part for part in parts})
     else:
         for part in parts:
             print_part(part)
@@ -116,14 +97,16 @@ def ormstc(
     return 0 if sound else 1
 
 
-def play_part(name: str, size: Size, folder: Path, workers: int, *, check: bool = True) -> Part:
+def play_part(
+    name: str, size: Size, folder: Path, workers: int | None = None, *, check: bool = True
+) -> Part:
     """Play one part and write its files.
 
     Args:
         name: of the part.
         size: how much is played.
         folder: where the files go.
-        workers: number of processes that play.
+        workers: number of processes that play; default: as for all papers.
         check: play some runs with a process for each robot, too.
     """
     plan = PARTS[name](size)
@@ -137,19 +120,16 @@ def play_part(name: str, size: Size, folder: Path, workers: int, *, check: bool 
     part = Part(name, plan.about, rows_of(plan, results), checks)
     plots.FIGURES[name](part.rows, folder / f"{name}.png")
     _write_runs(folder / f"{name}.csv", plan, results)
-    numbers = msgspec.json.format(msgspec.json.encode(part))
-    (folder / f"{name}.json").write_bytes(numbers + b"\n")
+    write_json(folder / f"{name}.json", part)
     return part
 
 
 def _write_runs(path: Path, plan: Plan, results: Sequence[Measured]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*plan.runs[0].labels, "seed", *Measured.__struct_fields__])
-        for run, result in zip(plan.runs, results, strict=True):
-            writer.writerow(
-                [*run.labels.values(), run.tree["seed"], *msgspec.structs.astuple(result)]
-            )
+    lines = (
+        [*run.labels.values(), run.tree["seed"], *msgspec.structs.astuple(result)]
+        for run, result in zip(plan.runs, results, strict=True)
+    )
+    write_csv(path, [*plan.runs[0].labels, "seed", *Measured.__struct_fields__], lines)
 
 
 # Tables.
@@ -262,39 +242,3 @@ def _percent(share: float) -> str:
 
 def _complete(row: Row) -> str:
     return f"{row.complete}/{row.runs}"
-
-
-# Progress.
-
-
-class Tally:
-    """How far a part is, on stderr: redrawn in a terminal, a line now and then elsewhere."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._live = sys.stderr.isatty()
-        self._started = time.monotonic()
-        self._next_line = self._started + LINE_S
-        self._done = 0
-
-    def __enter__(self) -> Self:
-        """Begin to count."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave a last line."""
-        spent = time.monotonic() - self._started
-        self._say(f"{self._name}: {self._done} runs, {spent:.1f} s", end="\n")
-
-    def show(self, done: int, total: int) -> None:
-        """Say that so many runs are done."""
-        self._done = done
-        if self._live:
-            self._say(f"{self._name}: {done} of {total} runs", end="")
-        elif time.monotonic() >= self._next_line:
-            self._next_line = time.monotonic() + LINE_S
-            self._say(f"{self._name}: {done} of {total} runs", end="\n")
-
-    def _say(self, line: str, end: str) -> None:
-        start = "\r\x1b[K" if self._live else ""
-        print(start + line, end=end, file=sys.stderr, flush=True)

@@ -19,20 +19,23 @@ nothing, as a share of all vertices. Numbers of the paper stand beside ours. Int
 part ``PART.csv`` (a line for each plan), ``PART.json`` and, for figures, ``PART.png``.
 """
 
-import csv
-import multiprocessing
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from pathlib import Path
 from statistics import mean, pstdev
 
-import msgspec
 from msgspec import Struct
 
-from experiments.paper import WORKERS, Tally
+from experiments.command import (
+    Tally,
+    check_parts,
+    files_of,
+    in_parallel,
+    print_json,
+    write_csv,
+    write_json,
+)
 from experiments.parent_child_figures import FIGURES
 from experiments.parent_child_runs import (
     CARRIED_OUT,
@@ -45,8 +48,6 @@ from experiments.parent_child_runs import (
     measure,
     played,
 )
-from experiments.sweep import begin_work
-from protocol.errors import InputError
 
 RATIOS = (0.0, 0.2, 0.35)
 RADII_M = (1.0, 2.5, 7.5)
@@ -203,23 +204,6 @@ PARTS = (
 )
 
 
-def computed(
-    cases: Sequence[Case], workers: int, show: Callable[[int, int], None]
-) -> dict[Case, Measured]:
-    """Make all plans."""
-    results = {}
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=begin_work,
-        initargs=(os.getpid(),),
-    ) as pool:
-        for case, measured in zip(cases, pool.map(measure, cases, chunksize=2), strict=True):
-            results[case] = measured
-            show(len(results), len(cases))
-    return results
-
-
 # The command.
 
 
@@ -238,22 +222,18 @@ def parent_child(
     Raises:
         InputError: If there is no such part, or the files cannot be written.
     """
-    for name in only:
-        if name not in PARTS:
-            known = ", ".join(PARTS)
-            raise InputError(f"--only {name}: no such part of the paper; expected one of {known}")
-    folder = Path("runs", "paper-parent-child") if out is None else out
+    check_parts(only, PARTS)
     seeds = inputs or (SEEDS_QUICK if quick else SEEDS)
     wanted = [part for part in PARTS if part in (only or PARTS)]
     numbers: dict[str, list[Row] | list[Played]] = {}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with files_of("parent-child", out) as folder:
         cases = {part: cases_of(part, seeds, quick=quick) for part in wanted if part in PLANNED}
         results: dict[Case, Measured] = {}
         if cases:
             several = list(dict.fromkeys(case for listed in cases.values() for case in listed))
             with Tally("plans") as tally:
-                results = computed(several, WORKERS, tally.show)
+                found = in_parallel(measure, several, tally.show, chunk=2)
+            results = dict(zip(several, found, strict=True))
         for part in wanted:
             if part == "figure8":
                 numbers[part] = figure8(folder)
@@ -262,12 +242,8 @@ def parent_child(
             else:
                 chosen = {case: results[case] for case in cases[part]}
                 numbers[part] = write(folder, part, chosen)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"--out {folder}: {error.filename}: {reason}") from None
     if as_json:
-        said = {"paper": "parent-child", "folder": str(folder), "parts": numbers}
-        print(msgspec.json.encode(said).decode())
+        print_json("parent-child", folder, numbers)
     else:
         for part, rows in numbers.items():
             print_part(part, rows)
@@ -287,11 +263,9 @@ def write(folder: Path, part: str, results: dict[Case, Measured]) -> list[Row]:
     rows = rows_of(part, results)
     if part in FIGURES:
         FIGURES[part](rows, folder / f"{part}.png")
-    (folder / f"{part}.json").write_bytes(msgspec.json.format(msgspec.json.encode(rows)) + b"\n")
-    with (folder / f"{part}.csv").open("w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow((*Case._fields, *Measured._fields))
-        lines.writerows((*case, *measured) for case, measured in results.items())
+    write_json(folder / f"{part}.json", rows)
+    lines = ((*case, *measured) for case, measured in results.items())
+    write_csv(folder / f"{part}.csv", (*Case._fields, *Measured._fields), lines)
     return rows
 
 

@@ -3,7 +3,6 @@
 A map is what a scenario of the same seed would have, so that a plan and a run are about the same one.
 """
 
-import csv
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from deploy.setting import prepare
 from deploy.verdict.grid_ledger import GridLedger
 from deploy.verdict.parent_child import ParentChild
 from deploy.verdict.result import Result, judge, ledger_of, monitors_of, observers
-from experiments.paper import Tally
+from experiments.command import Tally, write_csv, write_json
 from protocol.grid import Cell, Grid
 from protocol.scenario import from_tree
 from protocol.seeds import spawn
@@ -208,12 +207,8 @@ def played(folder: Path, cases: Sequence[Case]) -> list[Played]:
             team = case.plan()
             runs.append(compared(case, team, carried_out(case, team)[0]))
             tally.show(len(runs), len(cases))
-    numbers = msgspec.json.format(msgspec.json.encode(runs))
-    (folder / "played.json").write_bytes(numbers + b"\n")
-    with (folder / "played.csv").open("w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(Played.__struct_fields__)
-        lines.writerows(msgspec.structs.astuple(run) for run in runs)
+    write_json(folder / "played.json", runs)
+    write_csv(folder / "played.csv", Played.__struct_fields__, map(msgspec.structs.astuple, runs))
     return runs
 
 
@@ -240,7 +235,5 @@ def figure8(folder: Path) -> list[Played]:
         parents=1,
         overlay=ParentTrail(*monitor.trail()),
     )
-    (folder / "figure8.json").write_bytes(
-        msgspec.json.format(msgspec.json.encode({"plan": team.facts, "run": run})) + b"\n"
-    )
+    write_json(folder / "figure8.json", {"plan": team.facts, "run": run})
     return [run]

@@ -5,13 +5,9 @@ worker processes do not change a result.
 """
 
 import json
-import multiprocessing
-import os
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,9 +19,9 @@ from deploy.inprocess import play
 from deploy.setting import prepare
 from deploy.verdict.coverage import coverage_of
 from deploy.verdict.grid_ledger import GridLedger
+from experiments.command import Show, in_parallel
 from protocol.errors import RunError
 from protocol.grid import Grid
-from protocol.lifeline import PARENT, tie_to_supervisor
 from protocol.scenario import from_tree
 from protocol.trace import Event, Observer, TraceDigest
 from world_server.terrain import terrain_of
@@ -33,9 +29,6 @@ from world_server.world import World
 
 Tree = dict[str, Any]
 """A scenario as plain values."""
-
-Show = Callable[[int, int], None]
-"""Called with how many runs are done, and how many there are."""
 
 LAPS_MOST = 20
 """A run is cut off when a robot could have covered everything so many times."""
@@ -126,30 +119,20 @@ def trace_of_processes(tree: Tree) -> str:
         raise RunError(f"canopy run: {said.stderr.strip() or 'no result'}") from None
 
 
-def sweep(trees: Sequence[Tree], *, workers: int = 1, show: Show | None = None) -> list[Measured]:
+def sweep(
+    trees: Sequence[Tree], *, workers: int | None = 1, show: Show = lambda _done, _total: None
+) -> list[Measured]:
     """Measure scenarios, and return what they came to, in the same order.
 
     Args:
         trees: the scenarios.
-        workers: in how many processes they are played; 1: in this one.
+        workers: in how many processes they are played; 1: in this one; ``None``: as for all papers.
         show: called after each run.
 
     Raises:
         InputError: If one cannot be played.
     """
-    if workers == 1:
-        return _collect(map(measure, trees), len(trees), show)
-    pool = ProcessPoolExecutor(
-        workers,
-        # Not a fork: this process may have threads.
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=begin_work,
-        initargs=(os.getpid(),),
-    )
-    try:
-        return _collect(pool.map(measure, trees), len(trees), show)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    return in_parallel(measure, trees, show, workers=workers)
 
 
 def to_toml(tree: Tree) -> str:
@@ -163,22 +146,6 @@ def _value(value: object) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
     return json.dumps(value)  # numbers, truth values and text are spelled alike
-
-
-def _collect(results: Any, total: int, show: Show | None) -> list[Measured]:  # noqa: ANN401  two kinds of map
-    collected = []
-    for result in results:
-        collected.append(result)
-        if show is not None:
-            show(len(collected), total)
-    return collected
-
-
-def begin_work(parent: int) -> None:
-    """Live no longer than the parent, and leave Ctrl-C to it."""
-    os.environ[PARENT] = str(parent)
-    tie_to_supervisor()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _played(tree: Tree, also: Observer | None = None) -> Measured:

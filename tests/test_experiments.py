@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from deploy.cli import main
-from experiments import ormstc, paper, plots, sweep
+from experiments import command, ormstc, paper, plots, sweep
 from experiments.ormstc import PARTS, PUBLISHED, Plan, Row, Run, Size
 from experiments.sweep import Measured
 from protocol.errors import ScenarioError
@@ -288,7 +288,7 @@ def test_the_command_prints_one_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(paper, "QUICK", TINY)
-    monkeypatch.setattr(paper, "WORKERS", 1)
+    monkeypatch.setattr(command, "WORKERS", 1)
     words = ["paper", "ormstc", "--quick", "--only", "losses", "--inputs", "2", "--json"]
     assert main([*words, "--out", str(tmp_path / "new")]) == 0
     said = capsys.readouterr()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from agents.algorithms.connected_rule import Variant, checked_splits
 from agents.planning.rooted_tree import NOWHERE, RootedTree, tree_of_parents, vertices_of_perfect
 from deploy.cli import main
-from experiments import connected
+from experiments import command, connected
 from experiments.connected import (
     SPECIFIED,
     SPECIFIED_HEIGHTS,
@@ -272,7 +272,7 @@ def test_the_command_writes_figures_and_numbers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (key, ticks) = next(iter(SPECIFIED.items()))
-    monkeypatch.setattr(connected, "WORKERS", 1)
+    monkeypatch.setattr(command, "WORKERS", 1)
     monkeypatch.setattr(connected, "SPECIFIED", {key: (ticks[0] + wrong, *ticks[1:])})
     words = ["paper", "connected", "--quick", "--inputs", "1", "--json", "--out", str(tmp_path)]
     assert main([*words, "--only", "table", "--only", "office"]) == code

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deploy.cli import main
-from experiments import mstc
+from experiments import command, mstc
 from experiments.mstc import Input, Times, coverage_times, plan_of, rows_of, t_test
 
 
@@ -59,7 +59,7 @@ def test_parts_cover_the_figures() -> None:
 def test_the_command_writes_figures_and_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mstc, "WORKERS", 1)
+    monkeypatch.setattr(command, "WORKERS", 1)
     monkeypatch.setattr(mstc, "OBSTACLES", (0, 40))
     words = ["paper", "mstc", "--quick", "--inputs", "2", "--json", "--out", str(tmp_path)]
     assert main([*words, "--only", "figure7", "--only", "figure8"]) == 0

@@ -10,7 +10,7 @@ import pytest
 
 from agents.planning.vertices import Reach, choose
 from deploy.cli import main
-from experiments import parent_child, parent_child_runs
+from experiments import command, parent_child_runs
 from experiments.parent_child import (
     PAPER,
     PARTS,
@@ -32,11 +32,7 @@ SMALL = 14
 def on_small_maps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Play on maps of 7 m x 7 m, in this process alone."""
     monkeypatch.setattr(parent_child_runs, "SIDE", SMALL)
-
-    def at_once(cases: list[Case], workers: int, show: object) -> dict[Case, Measured]:
-        return {case: measure(case) for case in cases}
-
-    monkeypatch.setattr(parent_child, "computed", at_once)
+    monkeypatch.setattr(command, "WORKERS", 1)
 
 
 def measured(coverage: int, coordination: int, vertices: int = 100) -> Measured:
