@@ -17,6 +17,7 @@ from agents.algorithms import connected, mr_dfs, mstc, ormstc, parent_child
 from agents.body import Algorithm, Body
 from protocol.errors import ScenarioError
 from protocol.messages import AnyRequest, Sight, Stop
+from protocol.scenario import in_words
 from protocol.section import OptionValue
 
 ALGORITHMS: dict[str, Any] = {
@@ -98,7 +99,7 @@ def algorithm_of(name: str, options: dict[str, OptionValue]) -> Algorithm:
     try:
         filled = msgspec.convert(options, kind)
     except msgspec.ValidationError as error:
-        raise ScenarioError(f"field `algorithm_options` of {name!r}: {error}") from None
+        raise ScenarioError(in_words(error, options, kind, "algorithm_options")) from None
 
     def bound(body: Body) -> Coroutine[AnyRequest, Sight, Stop | None]:
         coroutine: Coroutine[AnyRequest, Sight, Stop | None] = function(body, filled)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 from deploy.verdict.base_ledger import PlaceName, in_words
 from deploy.verdict.result import Result
+from deploy.verdict.sinay import ConnectedPlan
 from protocol.graph import PortGraph
 from protocol.messages import Progress
 
@@ -189,7 +190,9 @@ def _extra(result: Result) -> str | None:
 
 
 def _planned(result: Result) -> str | None:
-    """Return the steps of the plan that a parent and its children carried out."""
+    """Return what the plan comes to that a team carried out."""
+    if result.connected is not None:
+        return _connected(result.connected)
     plan = result.parent_child
     if plan is None:
         return None
@@ -197,6 +200,18 @@ def _planned(result: Result) -> str | None:
         f"{plan.stops} stops, {plan.coverage_steps} steps to cover, {plan.coordination_steps} to "
         f"coordinate; {plan.redundant_steps} of all children's are redundant"
     )
+
+
+def _connected(plan: ConnectedPlan) -> str:
+    heights = ", ".join(map(str, plan.split_heights))
+    parts = [f"split heights {heights}" if heights else "no splits"]
+    if plan.load:
+        parts.append(f"load {plan.load}/16")
+    if plan.reordered:
+        parts.append(f"{plan.reordered} siblings in another order")
+    if plan.tree != "given":
+        parts.append(f"{plan.tree} tree")
+    return "; ".join(parts)
 
 
 def _messages(result: Result) -> str | None:

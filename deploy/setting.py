@@ -6,9 +6,11 @@ from pathlib import Path
 from msgspec import Struct, convert, to_builtins
 from msgspec.structs import replace
 
-from agents.algorithms.connected import BestOptions, Options, planned
+from agents.algorithms.connected_options import BestOptions, Options, planned
 from agents.algorithms.connected_rule import Variant
+from agents.algorithms.connected_splits import robots_needed
 from agents.body import Algorithm
+from agents.planning.rooted_tree import spanning_tree
 from agents.registry import (
     ALGORITHMS,
     ASSUMED,
@@ -91,7 +93,8 @@ def prepare(scenario: Scenario) -> Setting:
     if isinstance(found.ground, PortGraph):
         _check_devices(scenario, found.ground)
         _check_size(scenario, found.ground)
-        scenario = _with_plan(scenario, found.ground, found.starts)
+        scenario, more = _with_plan(scenario, found.ground, found.starts)
+        notes = (*notes, *more)
     _check_database(scenario)
     scenario = with_chaos(_with_places(scenario, found.ground), found.ground, found.to_cover)
     notes = (*notes, *found.notes)
@@ -224,8 +227,13 @@ def _check_assumed(scenario: Scenario) -> None:
             ("radio.latency", radio.latency, 0.0),
             ("radio.loss", radio.loss, 0.0),
             ("radio.duplicate", radio.duplicate, 0.0),
-            ("world.starts", scenario.world.starts, None),
+            ("device.capacity_bytes", scenario.device.capacity, 0),
         ]
+        if scenario.world.starts is not None:
+            raise ScenarioError(
+                f"field `world.starts`: found {scenario.world.starts!r}; {name} needs one start: "
+                "`world.start`"
+            )
         if scenario.clock.mode == "event":
             needs.append(("radio.heartbeat", radio.heartbeat, "global"))
     elif name == "mstc":
@@ -250,8 +258,7 @@ def _check_assumed(scenario: Scenario) -> None:
         ]
     for field, found, expected in needs:
         if found != expected:
-            known = "nothing" if expected is None else repr(expected)
-            raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {known}")
+            raise ScenarioError(f"field `{field}`: found {found!r}; {name} needs {expected!r}")
 
 
 def _check_family(scenario: Scenario, found: Started) -> None:
@@ -303,15 +310,17 @@ def _check_size(scenario: Scenario, graph: PortGraph) -> None:
         )
 
 
-def _with_plan(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> Scenario:
-    """Plan for a connected team, once for all robots.
+def _with_plan(
+    scenario: Scenario, graph: PortGraph, starts: Sequence[int]
+) -> tuple[Scenario, tuple[str, ...]]:
+    """Plan for a connected team, once for all robots; say what the user should know of the plan.
 
     Raises:
         ScenarioError: If the graph or the split heights do not do.
     """
     name = plain_name(scenario.algorithm)
     if name not in CONNECTED_ALGORITHMS:
-        return scenario
+        return scenario, ()
     best = name == "cocta-best"
     options = convert(scenario.algorithm_options, BestOptions if best else Options)
     if options.tree == "given" and not graph.is_tree():
@@ -321,11 +330,20 @@ def _with_plan(scenario: Scenario, graph: PortGraph, starts: Sequence[int]) -> S
             "spanning tree of it, or a tree"
         )
     variant: Variant = "ncocta" if name == "ncocta" else "cocta"
+    robots = scenario.team.robots
     try:
-        options = planned(graph, starts[0], scenario.team.robots, options, variant)
+        options = planned(graph, starts[0], robots, options, variant)
     except ValueError as error:
         raise ScenarioError(f"field `algorithm_options.splits`: {error}") from None
-    return replace(scenario, algorithm_options=to_builtins(options))
+    heights = options.heights or ()
+    arity = spanning_tree(graph, starts[0], deep=options.tree == "depth-first").tree.arity
+    needed = robots_needed(arity, heights)
+    notes = (
+        f"split heights {[*heights]} are for {needed} robots; with {robots} the team may come to where "
+        "it can only gather, and goes on without splits from there"
+    )
+    told = (notes,) if needed > robots else ()
+    return replace(scenario, algorithm_options=to_builtins(options)), told
 
 
 def _check_devices(scenario: Scenario, graph: PortGraph) -> None:

@@ -38,7 +38,8 @@ map = "my_cave.edges"
 robots = 4
 ```
 
-Some algorithms play on graphs (`mr-dfs`), others on grids (`mstc`, `ormstc`). On a grid a sub-cell has
+Some algorithms play on graphs (`mr-dfs`, `ncocta`, `cocta`, `cocta-best`), others on grids (`mstc`,
+`ormstc`, `parent-child`); those of users on both. On a grid a sub-cell has
 the size of a robot, a coarse cell is two by two of them, and `[0, 0]` is the sub-cell at the top left.
 
 Times are virtual: ticks under the lockstep clock, time units under the event clock. An unknown
@@ -71,6 +72,21 @@ path given by `--set` is relative to the current folder.
 - `scan`: `"counter-clockwise"` (default) or `"clockwise"`, which is for one robot only.
 - `patience`: where the radio is not reliable and global, how old the last sign of life of a robot may
   be whose answer another one awaits before it enters a cell, time units.
+
+`algorithm_options` of `ncocta`, `cocta` and `cocta-best`, whose robots have the map of a tree:
+
+- `splits`: the heights at which the team splits, as a list; `"paper"` (default), by its formula; or
+  `"best"`, the fastest of those that the team is large enough for, as far as they are tried. With
+  `cocta-best` it is `"best"` (default) or a list. A team that is too small for any does not split.
+  One that is too small for a list may come to where no rule moves it: it gathers, and does not
+  split again.
+- `tree`: `"given"` (default) refuses a graph with cycles, `"breadth-first"` and `"depth-first"` cover
+  it along a spanning tree.
+- `effort`: of `cocta-best`, how many ticks are played in search of a plan (20,000).
+- `load` and `order`: of `cocta-best`, given with a list of `splits`: how many robots a subtree takes,
+  in sixteenths of its unfinished vertices (0: as many as it has), and the siblings that are explored
+  in another order than that of their ports.
+- `heights`: what `splits` come to; filled in before the run.
 """
 
 GENERATE = """\

@@ -315,7 +315,7 @@ def from_tree(tree: dict[str, Any], source: str, default_name: str = "scenario")
     try:
         scenario = msgspec.convert(tree, Scenario)
     except msgspec.ValidationError as error:
-        raise ScenarioError(f"{source}: {_in_words(str(error), tree)}") from None
+        raise ScenarioError(f"{source}: {in_words(error, tree, Scenario)}") from None
     _check(scenario, source)
     return scenario
 
@@ -331,9 +331,16 @@ def _reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
-def _in_words(message: str, tree: object) -> str:
-    """Rewrite a msgspec message so that it leads with the field and says what was found there."""
-    text, _, where = message.partition(" - at `$")
+def in_words(error: msgspec.ValidationError, tree: object, kind: type, section: str = "") -> str:
+    """Say what is wrong so that it leads with the field and tells what was found there.
+
+    Args:
+        error: why the tree is none of the kind.
+        tree: plain values.
+        kind: the Struct that it should be.
+        section: name of the section that it is, if it is not all of a scenario.
+    """
+    text, _, where = str(error).partition(" - at `$")
     field = where.rstrip("`").lstrip(".")
     found = tree
     for name in re.findall(r"[^.\[\]]+", field):
@@ -344,25 +351,28 @@ def _in_words(message: str, tree: object) -> str:
         else:
             break
     if text.startswith("Invalid"):
-        text = f"expected one of {', '.join(map(repr, _choices(field)))}"
+        text = f"expected one of {', '.join(_choices(field, kind))}"
     text = text.replace("Expected", "expected", 1)
     said = "" if isinstance(found, dict | list) or "..." in field else f"found {found!r}; "
-    return f"field `{field}`: {said}{text}" if field else text
+    name = f"{section}.{field}".strip(".")
+    return f"field `{name}`: {said}{text}" if name else text
 
 
-def _choices(field: str) -> list[Any]:
-    """Return what a field of the scenario may be, where that is a choice among words."""
-    known: list[Any] = [msgspec.inspect.type_info(Scenario)]
+def _choices(field: str, kind: type) -> list[str]:
+    """Return what a field may be, where that is a choice among words."""
+    known: list[Any] = [msgspec.inspect.type_info(kind)]
     for name in re.findall(r"[a-z_]+", field):
         # A tag field (`kind`) is no field of the generators themselves.
         tags = [type_.tag for type_ in known if getattr(type_, "tag_field", None) == name]
         if tags:
-            return tags
+            return list(map(repr, tags))
         fields = [part for type_ in known for part in getattr(type_, "fields", ())]
         known = [part.type for part in fields if part.encode_name == name]
         known = [one for type_ in known for one in getattr(type_, "types", (type_,))]
+        lists = ["a list"] * any(hasattr(type_, "item_type") for type_ in known)
         known = [getattr(type_, "item_type", type_) for type_ in known]
-    return [value for type_ in known for value in getattr(type_, "values", ())]
+    words = [repr(value) for type_ in known for value in getattr(type_, "values", ())]
+    return words + lists
 
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:

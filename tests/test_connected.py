@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.algorithms import connected, connected_course
-from agents.algorithms.connected import Options, planned
 from agents.algorithms.connected_course import Step, first_step
+from agents.algorithms.connected_options import Options, planned
+from agents.algorithms.connected_regroup import status_of
 from agents.algorithms.connected_rule import Team, Variant, checked_splits, ticks_taken
 from agents.algorithms.connected_splits import choose_splits
 from agents.planning.rooted_tree import (
@@ -27,6 +28,7 @@ from agents.planning.rooted_tree import (
 )
 from agents.registry import algorithm_of
 from deploy.inprocess import play
+from protocol.errors import AlgorithmError
 from protocol.graph import PortGraph
 from protocol.messages import Move
 from protocol.trace import NOBODY, Event
@@ -258,7 +260,7 @@ def test_the_formula_gives_the_heights_of_the_table(row: tuple[Any, ...]) -> Non
     graph = graph_from(perfect_tree(arity, height))
     for variant in BOTH:
         options = planned(graph, 0, robots, Options(), variant)
-        assert options.splits == tuple(splits)
+        assert options.heights == tuple(splits)
 
 
 def test_robots_that_are_given_no_heights_use_the_formula() -> None:
@@ -276,6 +278,11 @@ def test_takes_the_ticks_of_the_table_on_trees_with_holes(
     assert len(tree) == vertices
     assert_takes(tree, robots, "ncocta", "paper", ncocta)
     assert_takes(tree, robots, "cocta", "paper", cocta)
+
+
+def test_a_robot_that_has_not_heard_of_a_loss_is_named() -> None:
+    with pytest.raises(AlgorithmError, match="robot 2 has heard of a loss that robot 1 has not"):
+        status_of(b"1234", 1, 2)
 
 
 # Any tree, any team.

@@ -303,18 +303,33 @@ def test_the_radio_section_is_checked(radio: dict[str, Any], said: str | None) -
         ({"radio": {"duplicate": 0.1}}, "field `radio.duplicate`: found 0.1; {} needs 0.0"),
         (
             {"world": {**TREE, "starts": ["0", "0", "1"]}},
-            "field `world.starts`: found ('0', '0', '1'); {} needs nothing",
+            "field `world.starts`: found ('0', '0', '1'); {} needs one start: `world.start`",
         ),
         (
             {"radio": {"heartbeat": "reach"}, **EVENT},
             "field `radio.heartbeat`: found 'reach'; {} needs 'global'",
         ),
         (
+            {"device": {"capacity_bytes": 10}},
+            "field `device.capacity_bytes`: found 10; {} needs 0",
+        ),
+        (
             {"world": {**ROOM, "ground": "grid"}},
             "field `algorithm`: {} plays on a graph, found a grid",
         ),
     ],
-    ids=["map", "reach", "relay", "latency", "loss", "duplicate", "starts", "heartbeat", "grid"],
+    ids=[
+        "map",
+        "reach",
+        "relay",
+        "latency",
+        "loss",
+        "duplicate",
+        "starts",
+        "heartbeat",
+        "device",
+        "grid",
+    ],
 )
 def test_what_connected_coverage_cannot_do_without(
     algorithm: str, fields: dict[str, Any], said: str
@@ -374,14 +389,56 @@ def test_split_heights_that_the_tree_does_not_have_are_refused(
     assert str(error.value) == said
 
 
-@pytest.mark.parametrize("splits", ["most", 3, [1.5], ["2"]])
-def test_split_heights_that_are_none_are_refused(splits: Any) -> None:
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"splits": "most"}, "splits`: found 'most'; expected one of 'best', 'paper', a list"),
+        ({"splits": 3}, "splits`: found 3; expected"),
+        ({"splits": [1.5]}, "field `algorithm_options[...][0]`: expected `int`"),
+        ({"splits": ["2"]}, "field `algorithm_options[...][0]`: expected `int`"),
+        ({"tree": "random"}, "tree`: found 'random'; expected one of 'breadth-first', "),
+        ({"split": [2]}, "Object contains unknown field `split`"),
+    ],
+)
+def test_options_that_are_none_are_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(ScenarioError) as error:
-        prepared(algorithm_options={"splits": splits})
-    assert "field `algorithm_options" in str(error.value)
+        prepared(algorithm_options=options)
+    assert said in str(error.value)
 
 
 def test_split_heights_are_planned_once_and_told_to_all() -> None:
-    for splits, told in (("paper", (3,)), ([1, 3], (3, 1))):
+    for splits, told in (("paper", (3,)), ((1, 3), (3, 1))):
         setting = prepared(team={"robots": 11}, algorithm_options={"splits": splits})
-        assert setting.scenario.algorithm_options == {"splits": told, "tree": "given"}
+        options = setting.scenario.algorithm_options
+        assert options == {"splits": splits, "tree": "given", "heights": told}
+
+
+def test_a_plan_of_an_earlier_run_is_kept() -> None:
+    best = prepared("cocta-best", team={"robots": 11}).scenario.algorithm_options
+    assert best["splits"] == "best"
+    again = prepared("cocta-best", team={"robots": 11}, algorithm_options=best)
+    assert again.scenario.algorithm_options == best
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"load": 3}, "a load or an order is given without split heights; expected both"),
+        ({"order": [2, 1]}, "a load or an order is given without split heights; expected both"),
+        ({"splits": [2], "order": [5, 5]}, "the order of siblings has an unknown vertex, the root"),
+        ({"splits": [2], "order": [0, 1]}, "the order of siblings has an unknown vertex, the root"),
+        ({"splits": [2], "order": [9999]}, "the order of siblings has an unknown vertex, the root"),
+        ({"heights": [9]}, "split heights are in 1..3, not [9]"),
+    ],
+)
+def test_a_plan_that_is_none_is_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ScenarioError) as error:
+        prepared("cocta-best", algorithm_options=options)
+    assert str(error.value).startswith(f"field `algorithm_options.splits`: {said}")
+
+
+def test_a_team_that_is_too_small_for_its_splits_is_told() -> None:
+    setting = prepared(team={"robots": 2}, algorithm_options={"splits": [3, 2]})
+    (note,) = setting.notes
+    assert note.startswith("split heights [3, 2] are for 11 robots; with 2 the team may come to")
+    assert prepared(team={"robots": 11}, algorithm_options={"splits": [3, 2]}).notes == ()

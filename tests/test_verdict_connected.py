@@ -16,6 +16,7 @@ from deploy.verdict.connection import Occupied
 from deploy.verdict.guarantees import Guarantee, Status
 from deploy.verdict.ledger import Ledger
 from deploy.verdict.result import Result, exit_code, judge, monitors_of, observers
+from deploy.verdict.sinay import ConnectedPlan
 from protocol.graph import PortGraph
 from protocol.messages import AnyRequest, Look, Move, Stop, Wait, WaitForNews
 from protocol.scenario import from_tree
@@ -109,7 +110,8 @@ def walks(
 
 
 def test_a_good_walk_keeps_every_claim() -> None:
-    result = verdict(FORK, walks(FORK, (0, 1, 0, 2, 0), (0, 0, 0, 0, 0)), 2)
+    trace = walks(FORK, (0, 1, 0, 2, 0), (0, 0, 0, 0, 0))
+    result = verdict(FORK, trace, 2, algorithm_options={"heights": ()})
     assert broken(result) == set()
     assert claim(result, CONNECTED).detail == "at every instant"
     assert claim(result, HOME).holds
@@ -341,13 +343,28 @@ def test_who_was_left_behind_after_a_loss_is_not_forgotten() -> None:
     trace = trace_of(lines, 3)
     # One below, and moves took 1: the excuse is over at 1.5 + 2 + 1, the move of robot 0 much later.
     trace.append(Event(1.5, 0, -1, 2, 0, None, "killed", 0))
-    trace.append(Event(2.0, 0, 0, 0, 1, 0, Move(exit=1), 0))
-    trace.append(Event(3.5, 0, 0, 1, 1, 0, Move(exit=0), 0))
+    trace.append(Event(3.6, 0, 0, 0, 1, 0, Move(exit=1), 0))
+    trace.append(Event(4.0, 0, 0, 1, 1, 0, Move(exit=0), 0))
     result = verdict(graph, trace, 3, status="unfinished", **EVENT)
     assert claim(result, CONTACT).holds
-    trace.append(Event(4.5, 0, 0, 1, 0, 0, WaitForNews(), 0))
+    trace.append(Event(4.6, 0, 0, 1, 0, 0, WaitForNews(), 0))
     result = verdict(graph, trace, 3, status="unfinished", **EVENT)
-    assert claim(result, CONTACT).detail == "t=4.5: robot 0 between 1 and 2, with nobody there"
+    assert claim(result, CONTACT).detail == "t=4.6: robot 0 between 1 and 2, with nobody there"
+
+
+def test_a_move_under_way_counts_for_as_long_as_it_takes() -> None:
+    lines: list[Line] = [(0.0, 0, 0, None, Move(exit=0)), (0.0, 1, 0, None, Move(exit=0))]
+    lines += [(0.0, 2, 0, None, WaitForNews()), (1.0, 0, 1, 0, Move(exit=1))]
+    lines += [(1.0, 1, 1, 0, WaitForNews()), (2.0, 0, 2, 0, WaitForNews())]
+    before = [*trace_of(lines, 3), Event(3.0, 0, -1, 1, 1, 0, "killed", 0)]
+    # Two below, and moves took 1: connected by 3 + 3 * 1 + 1, if none takes longer.
+    for what, back, holds in (
+        (Move(exit=0), Event(9.0, 0, 0, 0, 1, 1, WaitForNews(), 0), True),
+        (WaitForNews(), Event(9.0, 0, 0, 0, 2, 0, Move(exit=0), 0), False),
+    ):
+        trace = [*before, Event(3.0, 0, 0, 0, 2, 0, what, 0), back]
+        found = claim(verdict(PATH, trace, 3, status="unfinished", **EVENT), CONNECTED)
+        assert (found.holds is not False) == holds, found
 
 
 def test_on_the_event_clock_the_longest_move_counts() -> None:
@@ -411,22 +428,37 @@ def test_ncocta_takes_as_long_as_the_paper_says(
     graph = perfect(arity, height)
     heights = paper_splits(arity, height, k) if isinstance(splits, str) else splits
     trace = rule_trace(graph, Team(perfect_tree(arity, height), k, "ncocta", heights))
-    result = verdict(graph, trace, k, "ncocta", algorithm_options={"splits": splits})
+    options = {"splits": splits, "heights": heights}
+    result = verdict(graph, trace, k, "ncocta", algorithm_options=options)
     assert broken(result) == set()
     assert claim(result, EXACT).holds
+    assert result.connected is not None
+    assert result.connected.split_heights == [*heights]
     assert f"{ticks} ticks, E_H = {ticks}" in claim(result, EXACT).detail
     # One that dawdles.
     slow = [[0, *(event.place or 0 for event in trace if event.robot == r)] for r in range(k)]
-    result = verdict(graph, walks(graph, *slow), k, "ncocta", algorithm_options={"splits": splits})
+    result = verdict(graph, walks(graph, *slow), k, "ncocta", algorithm_options=options)
     assert claim(result, EXACT).holds is False
+
+
+def test_split_heights_by_the_formula_are_judged() -> None:
+    graph = perfect(2, 5)
+    trace = rule_trace(graph, Team(perfect_tree(2, 5), 11, "ncocta", (3,)))
+    options = {"splits": "paper", "heights": (3,)}
+    found = claim(verdict(graph, trace, 11, "ncocta", algorithm_options=options), EXACT)
+    assert found.holds is False
+    assert found.detail == "split heights [3], by the formula [5]"
 
 
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"algorithm_options": {"splits": (3, 1)}}, "not one below the other"),
-        ({"algorithm_options": {"splits": (3, 2)}}, "2 robots; split heights [3, 2] need 11"),
-        ({"algorithm_options": {"splits": "best"}}, "not known beforehand"),
+        ({"algorithm_options": {"splits": (3, 1), "heights": (3, 1)}}, "not one below the other"),
+        (
+            {"algorithm_options": {"splits": "best", "heights": (3, 2)}},
+            "2 robots; split heights [3, 2] need 11",
+        ),
+        ({"algorithm_options": {"splits": "best"}}, "the plan is not known"),
         ({"algorithm": "cocta"}, "only NCOCTA"),
         ({"clock": {"mode": "event"}}, "only under the lockstep clock"),
         ({"graph": tree_of([0, 0, 1])}, "only on perfect trees"),
@@ -462,7 +494,7 @@ def test_cocta_is_measured_against_ncocta(variant: str) -> None:
     graph, tree, k = perfect(2, 4), perfect_tree(2, 4), 9
     drips: Variant = "cocta"
     trace = rule_trace(graph, Team(tree, k, drips, (3,)))
-    options = {"splits": (3,)}
+    options = {"splits": "best", "heights": (3,)}
     result = verdict(graph, trace, k, variant, algorithm_options=options)
     assert broken(result) == set()
     assert claim(result, NOT_SLOWER).holds
@@ -471,6 +503,16 @@ def test_cocta_is_measured_against_ncocta(variant: str) -> None:
     result = verdict(graph, slow, k, variant, algorithm_options=options)
     assert broken(result) == {NOT_SLOWER}
     assert claim(result, NOT_SLOWER).detail == "60 ticks; NCOCTA with split heights [3]: 24"
+
+
+def test_a_plan_that_was_given_is_not_measured() -> None:
+    graph = perfect(2, 4)
+    slow = walks(graph, *[around(graph)] * 9)
+    options = {"splits": (3,), "heights": (3,), "load": 1, "order": (2, 1)}
+    result = verdict(graph, slow, 9, "cocta-best", algorithm_options=options)
+    assert claim(result, NOT_SLOWER).holds is None
+    assert claim(result, NOT_SLOWER).detail == "the plan was given"
+    assert result.connected == ConnectedPlan(split_heights=[3], load=1, reordered=2, tree="given")
 
 
 def test_the_time_is_not_judged_after_losses() -> None:

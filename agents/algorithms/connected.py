@@ -26,68 +26,17 @@ A graph that is no tree: the robots use a spanning tree of it, as the option ``t
 
 from collections.abc import Iterator
 from functools import lru_cache, partial
-from typing import Annotated, Literal
-
-from msgspec import Meta, Struct
-from msgspec.structs import replace
 
 from agents.algorithms.connected_course import Step, first_step
+from agents.algorithms.connected_options import AnyOptions, BestOptions, Options, planned
 from agents.algorithms.connected_regroup import is_digest, regroup_by_words, regroup_in_lockstep
 from agents.algorithms.connected_rule import Variant
-from agents.algorithms.connected_splits import choose_splits
 from agents.body import Body
-from agents.planning.connected_best import plan_connected
-from agents.planning.rooted_tree import Paths, order_of, reordered, spanning_tree
+from agents.planning.rooted_tree import Paths, reordered, spanning_tree
 from protocol.codec import encode
 from protocol.errors import AlgorithmError
 from protocol.graph import PortGraph
 from protocol.messages import KnownGraph, Sight, Stop
-
-
-class Options(Struct, frozen=True, forbid_unknown_fields=True):
-    """Options of NCOCTA and COCTA.
-
-    Attributes:
-        splits: the split heights: by the paper's formula, the best of those tried, or as given.
-        tree: what to do about a graph that is no tree: refuse it, or use a spanning tree of it.
-    """
-
-    splits: Literal["paper", "best"] | tuple[int, ...] = "paper"
-    tree: Literal["given", "breadth-first", "depth-first"] = "given"
-
-
-class BestOptions(Options, frozen=True, forbid_unknown_fields=True):
-    """Options of COCTA by a better plan, which the last three are; they are found if not given.
-
-    Attributes:
-        effort: how many ticks are played in search of a plan.
-        load: as of `connected_rule.SparingTick`; 0: none.
-        order: siblings in the order in which they are explored, where that is not the order of ports.
-    """
-
-    splits: Literal["best"] | tuple[int, ...] = "best"
-    effort: Annotated[int, Meta(ge=1)] = 20_000
-    load: Annotated[int, Meta(ge=0)] = 0
-    order: tuple[int, ...] = ()
-
-
-AnyOptions = Options | BestOptions
-
-
-def planned(
-    graph: PortGraph, root: int, team_size: int, options: AnyOptions, variant: Variant
-) -> AnyOptions:
-    """Return options with the plan filled in; that takes long, and is done once for all robots.
-
-    Raises:
-        ValueError: If the split heights that are given do not do.
-    """
-    tree = spanning_tree(graph, root, deep=options.tree == "depth-first").tree
-    if isinstance(options, BestOptions) and options.splits == "best":
-        plan = plan_connected(tree, team_size, options.effort)
-        order = order_of(plan.tree, tree)
-        return replace(options, splits=plan.splits, load=plan.load or 0, order=order)
-    return replace(options, splits=choose_splits(tree, team_size, variant, options.splits))
 
 
 @lru_cache(maxsize=4)
@@ -252,11 +201,11 @@ async def _cover(body: Body, options: AnyOptions, variant: Variant) -> Stop:
     if len(set(known.starts)) > 1:
         raise AlgorithmError("connected coverage needs one start for all; expected `world.start`")
     root = known.starts[0]
-    if isinstance(options.splits, str):
+    if options.heights is None:
         graph = PortGraph([""] * known.vertices, known.ends())
         options = planned(graph, root, body.team_size, options, variant)
-    splits = options.splits
-    assert not isinstance(splits, str)
+    splits = options.heights
+    assert splits is not None
     order: tuple[int, ...] = ()
     load = None
     if isinstance(options, BestOptions):

@@ -31,7 +31,7 @@ class Step:
     """One tick of a team, as all its robots know it.
 
     Attributes:
-        order: how often the team found together after losses, and how many ticks there were before.
+        tick: how many there were before.
         at: the vertex of each robot that is left.
         robots_at: the robots at each vertex that has any, ascending.
         moves: where robots go in this tick; none if `over`.
@@ -43,19 +43,17 @@ class Step:
 
     __slots__ = (
         "__weakref__", "_course", "_fresh", "_keepers", "_next", "_regrouped",
-        "at", "digest", "heard", "moves", "order", "over", "robots_at", "speaker",
+        "at", "digest", "heard", "moves", "over", "robots_at", "speaker", "tick",
     )  # fmt: skip
 
-    def __init__(
-        self, course: "_Course", order: tuple[int, int], digest: bytes, fresh: Iterable[int]
-    ) -> None:
+    def __init__(self, course: "_Course", tick: int, digest: bytes, fresh: Iterable[int]) -> None:
         team = course.team
         self._course = course
         self._fresh = tuple(fresh)  # what was visited first on the way to this step
         self._next: Step | None = None
         self._regrouped: dict[tuple[object, ...], Step] = {}
         self._keepers: dict[int, frozenset[int]] | None = None
-        self.order = order
+        self.tick = tick
         self.at = dict(team.at)
         self.robots_at = {vertex: tuple(robots) for vertex, robots in team.robots_at.items()}
         self.over = team.over
@@ -64,11 +62,6 @@ class Step:
         robots = tuple(team.at)
         self.speaker = robots[self.tick % len(robots)]
         self.heard = ((self.speaker, self.digest),)
-
-    @property
-    def tick(self) -> int:
-        """How many ticks there were before."""
-        return self.order[1]
 
     @property
     def keepers(self) -> dict[int, frozenset[int]]:
@@ -93,7 +86,7 @@ class Step:
             team, moves = self._course.team, self.moves
             fresh = {to for to in moves.values() if not team.visited[to]}
             team.apply(moves)
-            self._next = Step(self._course, (self.order[0], self.tick + 1), self.digest, fresh)
+            self._next = Step(self._course, self.tick + 1, self.digest, fresh)
         return self._next
 
     def regrouped(self, tick: int, at: Mapping[int, int], seen: Iterable[int] = ()) -> "Step":
@@ -109,9 +102,8 @@ class Step:
         if key not in self._regrouped:
             course = self._course
             visited = self.visited() | fresh
-            order = (self.order[0] + 1, tick)
             self._regrouped[key] = Step(
-                course.after_losses(at, visited), order, _digest(at, self.digest), ()
+                course.after_losses(at, visited), tick, _digest(at, self.digest), ()
             )
         return self._regrouped[key]
 
@@ -194,5 +186,5 @@ def first_step(
     step = _first_steps.get(key)
     if step is None or step._course.team.tree is not tree:  # noqa: SLF001  of this module
         team = Team(tree, team_size, variant, splits, load=load)
-        step = _first_steps[key] = Step(_Course(team, variant, splits), (0, 0), b"", ())
+        step = _first_steps[key] = Step(_Course(team, variant, splits), 0, b"", ())
     return step

@@ -20,7 +20,7 @@ In lockstep (`regroup_in_lockstep`)
 
     Bound: after the last loss a team is connected again within D + 1 ticks, where the lowest robot
     stood D edges below the highest vertex that the team held when the losses began, or was to hold.
-    After a single loss it is one tick, if one place was left.
+    A single loss that leaves one vertex empty is made up for in one tick.
 
 On the event clock (`regroup_by_words`)
     Nobody can tell a lost robot from a slow one, so the beacon has to be heard everywhere. All go up to
@@ -31,7 +31,7 @@ On the event clock (`regroup_by_words`)
     robots are lost, from the last step that they have in common, and says so; who hears that goes on in
     the same way, though a further robot be lost meanwhile, whose word it lacks.
 
-    Bound: as many moves, one after another, as above.
+    Bound: D + 1 moves, one after another, from when the moves that were under way have ended.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -98,6 +98,19 @@ def is_digest(message: bytes) -> bool:
     return len(message) == DIGEST_BYTES
 
 
+def status_of(word: bytes, sender: int, robot: int) -> Status:
+    """Read what a robot said while the team finds together, in lockstep.
+
+    Raises:
+        AlgorithmError: If it does not find together, as it has not heard of a loss.
+    """
+    if is_digest(word):
+        raise AlgorithmError(
+            f"robot {robot} has heard of a loss that robot {sender} has not heard of"
+        )
+    return _status(word)
+
+
 def meeting_vertex(paths: Paths, at: Iterable[int]) -> int:
     """Return the highest of the vertices that a connected team holds."""
     return max(at, key=paths.tree.heights.__getitem__)
@@ -129,7 +142,7 @@ async def regroup_in_lockstep(
             since = None
         said = Status(here.place, tuple(sorted(lost)), since)
         here = await body.exchange(encode(said))
-        heard = {sender: _status(word) for sender, word in here.inbox}
+        heard = {sender: status_of(word, sender, body.robot) for sender, word in here.inbox}
         heard[body.robot] = said
         lost.update(here.losses, *(status.lost for status in heard.values()))
         part = part_of(

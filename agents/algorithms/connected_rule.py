@@ -18,10 +18,11 @@ subtree than it has unfinished vertices; the others *drip* into the next one.
 Claims:
 
 - Connected at every tick (Lemma 4.1); in the end every vertex is visited and all are back at the root.
-- The run ends (Lemma 4.2) if the team has `robots_needed`, or there is no split. A smaller team may
-  come to a stand: `next_moves` then has none, and it is not `Team.over`.
-- NCOCTA takes E_H ticks on a perfect tree (Lemmas 4.3 and 4.4), `perfect_tree_ticks`, if each split
-  height is one below the last, as in the formula; where heights are left out, at most that.
+- The run ends (Lemma 4.2) if the team has `connected_splits.robots_needed`, or there is no split. A
+  smaller team may come to a stand: `next_moves` then has none, and it is not `Team.over`.
+- NCOCTA takes E_H ticks on a perfect tree (Lemmas 4.3 and 4.4), `connected_splits.perfect_tree_ticks`,
+  if each split height is one below the last, as in the formula; where heights are left out, at most
+  that.
 - COCTA is never slower than NCOCTA with the same split heights (Sec. 4.3).
 
 Departures from the paper:
@@ -37,8 +38,8 @@ Departures from the paper:
   subtree, in order where they are equal. If remainders went round robin, COCTA could be slower than
   NCOCTA.
 - The logarithm in the number of splits (Sec. 4.1) is rounded down, as the paper's examples need it.
-- More robots may take longer with COCTA, as they allow a split that hurts. So `choose_splits` can also
-  try what the team is large enough for, on the tree itself.
+- More robots may take longer with COCTA, as they allow a split that hurts. So
+  `connected_splits.choose_splits` can also try what the team is large enough for, on the tree itself.
 
 Beyond the paper: a *load* (`SparingTick`), for which `agents.planning.connected_best` looks.
 """

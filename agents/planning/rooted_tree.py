@@ -139,9 +139,16 @@ def order_of(tree: RootedTree, usual: RootedTree) -> tuple[int, ...]:
 
 
 def reordered(tree: RootedTree, order: Sequence[int]) -> RootedTree:
-    """Return a tree with some siblings in another order; `order_of` gives it back."""
+    """Return a tree with some siblings in another order; `order_of` gives it back.
+
+    Raises:
+        ValueError: If something else than vertices below the root is in it, or one of them twice.
+    """
     if not order:
         return tree
+    below = set(range(len(tree))) - {tree.root}
+    if len(below.intersection(order)) < len(order):
+        raise ValueError("the order of siblings has an unknown vertex, the root, or one twice")
     place = {vertex: at for at, vertex in enumerate(order)}
     children = [sorted(each, key=lambda child: place.get(child, -1)) for each in tree.children]
     return RootedTree(children, tree.root)

@@ -16,7 +16,7 @@ from deploy.verdict.guarantees import Guarantee, Monitor, Share, Status, common
 from deploy.verdict.ledger import Ledger, reachable
 from deploy.verdict.mstc import Mstc
 from deploy.verdict.parent_child import ParentChild, PlannedSteps
-from deploy.verdict.sinay import Sinay
+from deploy.verdict.sinay import ConnectedPlan, Sinay
 from protocol.faults import TAG_WORDS
 from protocol.graph import PortGraph
 from protocol.grid import Grid
@@ -137,6 +137,7 @@ class Result(Struct, frozen=True, kw_only=True):
         wall_s: real time that it took.
         steps_per_s: moves per second of real time between the first instant and the end; ``None``
             if that is not known.
+        connected: for ``ncocta``, ``cocta`` and ``cocta-best``, the plan, if made beforehand.
         parent_child: for ``parent-child``, what the plan comes to; ``None`` after losses, too.
     """
 
@@ -171,6 +172,7 @@ class Result(Struct, frozen=True, kw_only=True):
     durability: Literal["process", "power"]
     wall_s: float
     steps_per_s: float | None
+    connected: ConnectedPlan | None = None
     parent_child: PlannedSteps | None = None
 
 
@@ -246,6 +248,7 @@ def judge(
         _, to_traverse = reachable(ledger.graph, ledger.starts)
     shares = next((found for monitor in monitors if (found := monitor.shares())), None)
     planned = next((one.steps() for one in monitors if isinstance(one, ParentChild)), None)
+    connected = next((one.plan() for one in monitors if isinstance(one, Sinay)), None)
     asked_for = all(monitor.complete() for monitor in monitors)
     claims = [claim for monitor in monitors for claim in monitor.report(status)]
     waiting = ledger.alive if status == "stalled" else []
@@ -283,6 +286,7 @@ def judge(
         durability=scenario.durability,
         wall_s=wall_s,
         steps_per_s=steps / play_s if play_s > 0 else None,
+        connected=connected,
         parent_child=planned,
     )
 

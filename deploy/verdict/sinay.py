@@ -12,7 +12,8 @@ the team held before the losses began; one move more, as it may have been about 
 and the moves are counted, from the instant of the last loss; or, where robots were under way or set
 out in the same wave, from the instant when all those moves had ended. In lockstep a team that is
 connected stays so from then on. On the event clock, where robots find together one by one, that is
-asked of it after those moves, each taken for as long as the longest so far, and one time unit more.
+asked of it after those moves, each taken for as long as the longest so far, those under way among
+them, and one time unit more.
 
 Departures:
 
@@ -25,10 +26,10 @@ Departures:
 from collections.abc import Sequence
 from itertools import pairwise
 from math import inf
-from typing import Literal, cast
+
+from msgspec import Struct
 
 from agents.algorithms.connected_rule import Team, ticks_taken
-from agents.algorithms.connected_splits import choose_splits
 from agents.planning.rooted_tree import spanning_tree
 from agents.registry import plain_name
 from deploy.verdict.connection import Contact, Occupied, Pair
@@ -47,6 +48,22 @@ SHOWN = 6
 
 Finding = tuple[bool | None, str]
 """Whether a claim holds, and the detail."""
+
+
+class ConnectedPlan(Struct, frozen=True, kw_only=True):
+    """The plan that a team carried out.
+
+    Attributes:
+        split_heights: h_1 > ... > h_m.
+        load: how many robots a subtree takes, in sixteenths of its unfinished vertices; 0: as in COCTA.
+        reordered: how many siblings are explored in another order than that of ports.
+        tree: ``"given"``, or how the spanning tree was searched.
+    """
+
+    split_heights: list[int]
+    load: int
+    reordered: int
+    tree: str
 
 
 class Watch:
@@ -196,10 +213,13 @@ class Watch:
                 highest, lowest = self._occupied.span()
                 self._moves_allowed = lowest - min(highest, self._top) + 1
 
-    @property
-    def _deadline(self) -> float:
-        moves = self._longest_move * self._moves_allowed
-        return self._deadline_from + moves + (0.0 if self._lockstep else 1.0)
+    def _deadline(self, now: float) -> float:
+        """Return when the team has to be connected, by the moves made or under way until now."""
+        if self._lockstep:
+            return self._deadline_from + self._moves_allowed
+        under_way = [now - self._left_at[robot] for robot in self._on]
+        longest = max(self._longest_move, *under_way, 0.0)
+        return self._deadline_from + longest * self._moves_allowed + 1.0
 
     # What is judged.
 
@@ -210,7 +230,9 @@ class Watch:
             if self.apart_since is not None:
                 self.longest_apart = max(self.longest_apart, now - self.apart_since)
                 self.apart_since = None
-            if self.excused and now >= (self._deadline_from if self._lockstep else self._deadline):
+            if self.excused and now >= (
+                self._deadline_from if self._lockstep else self._deadline(now)
+            ):
                 self.excused = False
         else:
             self._judge_apart(now, until)
@@ -229,10 +251,11 @@ class Watch:
         if self.excused and not self._counted:
             self._counted = True
             self.breaks += 1
-        if self.fell_apart is None and (not self.excused or until > self._deadline):
+        deadline = self._deadline(until)
+        if self.fell_apart is None and (not self.excused or until > deadline):
             part = self._occupied.topmost_part()
             apart = sorted(robot for robot in self._living if self._at[robot] not in part)
-            when = f"by t={self._deadline:g}, after a loss" if self.excused else f"at t={now:g}"
+            when = f"by t={deadline:g}, after a loss" if self.excused else f"at t={now:g}"
             self.fell_apart = f"not connected {when}: {_listed(apart)} apart from those further up"
 
 
@@ -244,12 +267,28 @@ class Sinay:
         graph, self._root = ledger.graph, ledger.starts[0]
         self._ledger = ledger
         self._algorithm = plain_name(scenario.algorithm)
-        self._splits = scenario.algorithm_options.get("splits", "paper")
+        options = self._options = scenario.algorithm_options
+        best = self._algorithm == "cocta-best"
+        self._asked = options.get("splits", "best" if best else "paper")
+        heights = options.get("heights")
+        self._heights = tuple(heights) if isinstance(heights, list | tuple) else None
         self._lockstep = scenario.clock.mode == "lockstep"
         self._is_tree = graph.is_tree()
         deep = scenario.algorithm_options.get("tree") == "depth-first"
         self._watch = Watch(graph, ledger.starts, lockstep=self._lockstep, deep=deep)
         self.observe = self._watch.observe
+
+    def plan(self) -> ConnectedPlan | None:
+        """Return the plan, if it was made before the run."""
+        if self._heights is None:
+            return None
+        order = self._options.get("order", ())
+        return ConnectedPlan(
+            split_heights=[*self._heights],
+            load=int(str(self._options.get("load", 0))),
+            reordered=len(order) if isinstance(order, list | tuple) else 0,
+            tree=str(self._options.get("tree", "given")),
+        )
 
     def complete(self) -> bool:
         """Ask for nothing but that every vertex is visited."""
@@ -334,13 +373,12 @@ class Sinay:
         if shape is None:
             return None, "only on perfect trees"
         arity, height = shape
-        k = len(self._ledger.starts)
-        heights = self._splits
-        if heights == "paper":
-            heights = _paper_heights(arity, height, k)
-        if not isinstance(heights, Sequence) or isinstance(heights, str):
-            return None, f"split heights {heights!r}: not known beforehand"
-        heights = tuple(sorted(heights, reverse=True))
+        k, heights = len(self._ledger.starts), self._heights
+        if heights is None:
+            return None, "the plan is not known"
+        if self._asked == "paper" and heights != _paper_heights(arity, height, k):
+            formula = [*_paper_heights(arity, height, k)]
+            return False, f"split heights {[*heights]}, by the formula {formula}"
         if any(upper - lower != 1 for upper, lower in pairwise(heights)):
             return None, f"split heights {[*heights]} are not one below the other"
         needed = _robots_for(arity, heights)
@@ -359,12 +397,12 @@ class Sinay:
         graph, k = self._ledger.graph, len(self._ledger.starts)
         if len(graph.names) > VERTICES_MOST:
             return None, f"more than {VERTICES_MOST} vertices: NCOCTA was not played"
+        heights = self._heights
+        if heights is None:
+            return None, "the plan is not known"
+        if self._algorithm == "cocta-best" and self._asked != "best":
+            return None, "the plan was given"
         tree = spanning_tree(graph, self._root).tree
-        asked = self._splits
-        if not isinstance(asked, tuple | list) and asked not in ("paper", "best"):
-            return None, f"split heights {asked!r} are not known"
-        splits = cast("Literal['paper', 'best'] | Sequence[int]", asked)
-        heights = choose_splits(tree, k, "cocta", splits)
         ticks = ticks_taken(Team(tree, k, "ncocta", heights), int(self._time))
         ncocta = "more, or comes to a stand" if ticks is None else f"{ticks}"
         detail = f"{self._time:g} ticks; NCOCTA with split heights {[*heights]}: {ncocta}"
