@@ -292,6 +292,21 @@ def next_moves(team: Team) -> Moves:
 class Tick:
     """One tick in the making: the rule for one vertex after another, while the team stays as it is.
 
+    The cases of Alg. 1 and 2, and who does what (*guard*: all but one, or all if one has just arrived):
+
+    ==================================  =====================================  =========
+    v is finished                       all go up                              `go_up`
+    explored, with robots below         guard, the rest goes up                `go_up`
+    the same at a split, NCOCTA         all stay, until those below are back   `go_up`
+    not explored, h(v) = h_i            guard, the rest spreads                `go_down`
+    the same, COCTA, no work for some   these go up                            `go_up`
+    not explored, h(v) < h_1            guard, the rest goes to the first      `go_down`
+                                        child (COCTA: as many as it has work
+                                        for, then to the next)
+    not explored, h(v) > h_1            the same, and no guard if all robots   `go_down`
+                                        are here or there
+    ==================================  =====================================  =========
+
     Attributes:
         moves: those made so far.
         left: the robots at each vertex that have not moved yet, without those that arrived.
