@@ -109,15 +109,20 @@ class Body:
         self,
         *,
         at_most: float | None = None,
+        words: int = 1,
         tag: bytes | None = None,
         messages: tuple[bytes, ...] = (),
     ) -> Ask:
         """Stay until a message, a loss notice or a change of the tag here (as long as it takes).
 
-        ``at_most`` bounds the wait (time units; whole ticks in lockstep).
+        ``at_most`` bounds the wait (time units; whole ticks in lockstep). Fewer than ``words``
+        messages do not end it, so that who awaits several is not woken by each.
         """
         _check(tag, messages)
-        return (yield WaitForNews(tag, messages, None if at_most is None else _time(at_most)))
+        if words < 1:
+            raise AlgorithmError(f"wait for {words} words; expected at least 1")
+        until = None if at_most is None else _time(at_most)
+        return (yield WaitForNews(tag, messages, until, words))
 
     def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
         """Return what the algorithm returns to stop with a last tag or message (free).

@@ -13,14 +13,14 @@ request names another one.
 from collections.abc import Iterable
 from itertools import chain
 from struct import iter_unpack, pack
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 from zlib import compress, decompress
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from protocol.section import OptionValue
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Version of all messages below; checked when a process joins."""
 
 PAYLOAD_BYTES_MAX = 1 << 20
@@ -82,9 +82,15 @@ class Wait(Request, frozen=True, tag="wait"):
 
 
 class WaitForNews(Request, frozen=True, tag="wait_for_news"):
-    """Stay until a message, a loss notice, or a change of the tag here; or ``at_most`` so long."""
+    """Stay until something is new.
+
+    Attributes:
+        at_most: how long to wait for it, if not for ever.
+        words: how many messages must have come; a loss notice or a change of the tag here is enough.
+    """
 
     at_most: float | None = None
+    words: Annotated[int, Meta(ge=1)] = 1
 
 
 class Stop(Request, frozen=True, tag="stop"):

@@ -69,8 +69,9 @@ def describe(what: AnyRequest | str) -> str:
         words.append(f"exit={what.exit}")
     elif isinstance(what, Wait):
         words.append(f"duration={what.duration:g}")
-    elif isinstance(what, WaitForNews) and what.at_most is not None:
-        words.append(f"at_most={what.at_most:g}")
+    elif isinstance(what, WaitForNews):
+        words += [] if what.at_most is None else [f"at_most={what.at_most:g}"]
+        words += [] if what.words == 1 else [f"words={what.words}"]
     if isinstance(what, Look | Move) and what.gaze is not None:
         words.append(f"gaze={what.gaze}")
     if what.tag is not None:

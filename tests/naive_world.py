@@ -47,6 +47,7 @@ class NaiveRobot:
         self.inbox: list[tuple[int, bytes]] = []
         self.losses: list[int] = []
         self.done = 0
+        self.words = 1
 
     def alive(self) -> bool:
         return self.doing not in ("stopped", "lost")
@@ -266,7 +267,8 @@ class NaiveWorld:
                 robot.doing = "listening"
                 if request.at_most is not None:
                     robot.until = self.now + float(request.at_most)
-                if robot.inbox or robot.losses:
+                robot.words = request.words
+                if len(robot.inbox) >= robot.words or robot.losses:
                     self.wake([robot])
             case Stop():
                 robot.doing = "stopped"
@@ -276,7 +278,7 @@ class NaiveWorld:
             for message in request.messages:
                 for hearer in heard_by:
                     hearer.inbox.append((robot.number, message))
-            self.wake(heard_by)
+            self.wake(hearer for hearer in heard_by if len(hearer.inbox) >= hearer.words)
 
     def move_duration(self, robot: NaiveRobot, exit_: int) -> float:
         if self.scenario.clock.mode == "lockstep":

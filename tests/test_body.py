@@ -233,7 +233,7 @@ def test_an_algorithm_is_found_by_name(name: str) -> None:
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
-    with pytest.raises(ScenarioError, match=f"`algorithm_options` of 'mr-dfs'.*{words}"):
+    with pytest.raises(ScenarioError, match=f"field `algorithm_options.*{words}"):
         algorithm_of("mr-dfs", options)
 
 
@@ -315,7 +315,7 @@ def test_a_function_of_a_user(
     ("function", "options", "words"),
     [
         ("plain", {"steps": 3}, "takes none, found {'steps': 3}"),
-        ("with_options", {"steps": "many"}, "Expected `int`, got `str`"),
+        ("with_options", {"steps": "many"}, "found 'many'; expected `int`, got `str`"),
         ("with_options", {"stride": 1}, "stride"),
         ("with_too_much", {}, "takes 3 parameters"),
         ("without_a_body", {}, "takes 0 parameters"),

@@ -535,11 +535,8 @@ TRAIL = tree_of([*range(8), 0])
 
 
 def test_who_lacks_the_word_of_a_robot_that_was_lost_hears_that_all_is_covered() -> None:
-    """Robot 4 is lost as the others hear robot 3, the last to come, and stop; 3 never had its word."""
-    at = {"6": 11.0, "1": 19.0}
-    nth = {"0": 19, "3": 16, "4": 24, "7": 23}
-    faults: list[dict[str, Any]] = [{"kill": f"robot:{r}", "at": when} for r, when in at.items()]
-    faults += [{"kill": f"robot:{robot}", "at_request": n} for robot, n in nth.items()]
+    """Robot 2 is lost as the others hear the last of them, and stop; some never had its word."""
+    faults = [{"kill": "robot:7", "at_request": 10}, {"kill": "robot:2", "at_request": 18}]
     run = run_of(
         graph_of("01 02 03 14 15 16 27 04 06 37"),
         8,
@@ -547,11 +544,11 @@ def test_who_lacks_the_word_of_a_robot_that_was_lost_hears_that_all_is_covered()
         clock={"mode": "event", "jitter": "exponential"},
         options={"splits": [3, 1], "tree": "depth-first"},
         faults=faults,
-        seed=12284,
+        seed=17,
     )
     assert (run.end.status, run.failures) == ("over", {})
-    assert run.world.bodies[3].stopped_at == run.world.bodies[5].stopped_at
-    assert run.world.bodies[4].lost_at == run.world.bodies[3].stopped_at
+    stopped = {body.stopped_at for body in run.world.bodies if body.lost_at is None}
+    assert stopped == {run.world.bodies[2].lost_at}
 
 
 def along_the_trail(faults: list[dict[str, Any]]) -> Run:

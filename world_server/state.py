@@ -101,6 +101,7 @@ class BodyState(State, frozen=True):
     losses: tuple[int, ...]
     lost_at: float | None
     stopped_at: float | None
+    words: int
 
 
 class SteeringState(State, frozen=True):

@@ -161,6 +161,7 @@ class Body:
         requests: how many of its requests were applied.
         inbox, losses: what it will see next.
         has_news: whether there is anything in these two.
+        words: while it waits for news, how many messages are some.
     """
 
     __slots__ = (
@@ -178,6 +179,7 @@ class Body:
         "sight",
         "state",
         "stopped_at",
+        "words",
     )
 
     def __init__(self, robot: int, place: int) -> None:
@@ -195,6 +197,7 @@ class Body:
         self.has_news = False
         self.lost_at: float | None = None
         self.stopped_at: float | None = None
+        self.words = 1
 
     def as_state(self) -> BodyState:
         """Return what determines how it goes on."""
@@ -211,6 +214,7 @@ class Body:
             tuple(self.losses),
             self.lost_at,
             self.stopped_at,
+            self.words,
         )
 
     def restore(self, state: BodyState) -> None:
@@ -221,6 +225,7 @@ class Body:
         self.inbox, self.losses = list(state.inbox), list(state.losses)
         self.has_news = bool(self.inbox or self.losses)
         self.lost_at, self.stopped_at = state.lost_at, state.stopped_at
+        self.words = state.words
 
     @property
     def left_at(self) -> float:
@@ -796,8 +801,10 @@ class World:
                     self._agenda.at(ends).append(body)
                 self._resting.setdefault(place, []).append(body)
                 if kind is WaitForNews and sight is not None:
+                    body.words = request.words  # type: ignore[union-attr]
                     own = tag is not None
-                    if body.has_news or revisions[place] != sight.revision + own:
+                    heard = body.losses or len(body.inbox) >= body.words
+                    if heard or revisions[place] != sight.revision + own:
                         self._wake([body])
             elif kind is Stop:
                 body.state = STOPPED
@@ -822,7 +829,9 @@ class World:
         ends = self.time + duration
         if ends <= self.time:
             raise DurationError(f"wait of {duration} at {self.time}: too short to be told apart")
-        return type(request)(request.tag, request.messages, duration), ends
+        if isinstance(request, Wait):
+            return Wait(request.tag, request.messages, duration), ends
+        return WaitForNews(request.tag, request.messages, duration, request.words), ends
 
     # What a request, or a loss, brings about.
 
@@ -840,7 +849,7 @@ class World:
         for receiver in receivers:
             receiver.inbox.extend(sent)
             receiver.has_news = True
-        self._wake(receivers)
+        self._wake(body for body in receivers if len(body.inbox) >= body.words)
 
     def _send_through(
         self, ether: Ether, sender: int, receivers: Iterable[Body], messages: Iterable[bytes]
@@ -859,7 +868,8 @@ class World:
         if receiver.state < STOPPED:
             receiver.inbox.append((sender, message))
             receiver.has_news = True
-            self._wake((receiver,))
+            if len(receiver.inbox) >= receiver.words:
+                self._wake((receiver,))
 
     def _turn(self, body: Body, gaze: int) -> None:
         """Let a body look in another direction.

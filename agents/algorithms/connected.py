@@ -148,8 +148,11 @@ class PhasedRobot:
         arrived: set[int] = set()
         while not arrived.issuperset(step.moves):
             messages, self._unsaid = self._unsaid, ()
-            if to is None or robot in arrived or (first and first.isdisjoint(arrived)):
+            if to is not None and robot not in arrived and first and first.isdisjoint(arrived):
                 self.here = await self._body.wait_for_news(messages=messages)
+            elif to is None or robot in arrived:
+                words = len(step.moves.keys() - arrived)
+                self.here = await self._body.wait_for_news(words=words, messages=messages)
             else:
                 exit_ = self._paths.exit(step.at[robot], to)
                 self.here = await self._body.move(exit_, messages=messages)

@@ -219,13 +219,14 @@ class Gossip(Body):
         self,
         *,
         at_most: float | None = None,
+        words: int = 1,
         tag: bytes | None = None,
         messages: tuple[bytes, ...] = (),
     ) -> Ask:
-        """Stay until a message or a loss notice; or ``at_most`` so long."""
+        """Stay until so many radio messages or a loss notice; or ``at_most`` so long."""
         said = self._said(messages)
         return self._heard(
-            (yield from super().wait_for_news(at_most=at_most, tag=tag, messages=said))
+            (yield from super().wait_for_news(at_most=at_most, words=words, tag=tag, messages=said))
         )
 
     def last_words(self, *, tag: bytes | None = None, messages: tuple[bytes, ...] = ()) -> Stop:
