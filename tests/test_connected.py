@@ -240,7 +240,7 @@ def assert_takes(tree: RootedTree, robots: int, variant: str, splits: Any, ticks
     [
         pytest.param(
             *row,
-            marks=[pytest.mark.slow, pytest.mark.timeout(300)] if row[2] * row[4] > 45_000 else [],
+            marks=[pytest.mark.slow, pytest.mark.timeout(300)] if row[2] * row[4] > 15_000 else [],
             id=f"{row[0]}-ary, H = {row[1]}, k = {row[2]}",
         )
         for row in TABLE

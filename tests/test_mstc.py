@@ -186,7 +186,7 @@ def test_a_shortest_way_keeps_to_the_cells() -> None:
         ({"radio": {"reach": "none"}}, "radio.reach"),
         ({"radio": {"loss": 0.1}}, "radio.loss"),
         ({"world": {"bodies": "block"}}, "world.bodies"),
-        ({"algorithm_options": {"split": "thirds"}}, "algorithm_options"),
+        ({"algorithm_options": {"split": "thirds"}}, "algorithm_options.split"),
     ],
 )
 def test_what_it_cannot_do_without_is_asked_for(

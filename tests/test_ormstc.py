@@ -645,7 +645,7 @@ def test_a_cell_that_is_partly_blocked_is_a_blocked_one(world: Little, rng: Rand
     ],
 )
 def test_options_that_do_not_exist_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(ScenarioError, match="field `algorithm_options` of 'ormstc'"):
+    with pytest.raises(ScenarioError, match="field `algorithm_options"):
         algorithm_of("ormstc", options)
 
 
