@@ -55,6 +55,15 @@ def paths_of(known: KnownGraph, root: int, tree: str, order: tuple[int, ...] = (
     return paths._replace(tree=reordered(paths.tree, order))
 
 
+@lru_cache(maxsize=4)
+def planned_on(
+    known: KnownGraph, root: int, team_size: int, options: AnyOptions, variant: Variant
+) -> AnyOptions:
+    """Return options with a plan that was not made before the run; robots in one process share it."""
+    graph = PortGraph([""] * known.vertices, known.ends())
+    return planned(graph, root, team_size, options, variant)
+
+
 async def cover_in_lockstep(body: Body, paths: Paths, step: Step, here: Sight) -> None:
     """Cover the tree with the others until all are back at the root, in lockstep.
 
@@ -205,8 +214,7 @@ async def _cover(body: Body, options: AnyOptions, variant: Variant) -> Stop:
         raise AlgorithmError("connected coverage needs one start for all; expected `world.start`")
     root = known.starts[0]
     if options.heights is None:
-        graph = PortGraph([""] * known.vertices, known.ends())
-        options = planned(graph, root, body.team_size, options, variant)
+        options = planned_on(known, root, body.team_size, options, variant)
     splits = options.heights
     assert splits is not None
     order: tuple[int, ...] = ()
